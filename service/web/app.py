@@ -1,16 +1,25 @@
 """Builds the application: routers, middleware, page, error handlers. A factory, so that tests can build several."""
 
+import asyncio
 import functools
-from collections.abc import Callable
+import re
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
 
+import anyio
+import anyio.to_thread
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.staticfiles import StaticFiles
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.middleware import Middleware
-from starlette.routing import BaseRoute
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route
 
 from engine import __version__
+from engine.core.errors import TidegateError
 from service.access.accounts.first_admin import OnFirstAdmin
 from service.access.request.addresses import ClientAddresses
 from service.core.settings.settings import Settings
@@ -19,6 +28,9 @@ from service.engine_host.roles import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.qa.late_rig import LateRig
 from service.qa.roles import QaRig
+from service.storage.database.startup import SAMPLES_FOLDER
+from service.storage.samples.store import SampleStore
+from service.storage.samples.tail import SampleTails
 from service.web.api import (
     audit,
     calibrations,
@@ -38,9 +50,8 @@ from service.web.api import (
     users,
 )
 from service.web.api.problem_handlers import install_problem_handlers
+from service.web.container import Container, open_container
 from service.web.dependencies import guarded, require_json
-from service.web.languages import LANGUAGE_LIST, language_route
-from service.web.lifespan import make_lifespan
 from service.web.middleware.arrival import Arrival
 from service.web.middleware.guard import Guard
 from service.web.middleware.request_log import RequestLog
@@ -49,6 +60,104 @@ from service.web.middleware.reserved_threads import ReservedThreads
 from service.web.middleware.strict_requests import require_acceptable, require_known_query
 from service.web.openapi import describe_contract, operation_id
 from service.web.stream import coach, server_sent_events, websocket
+from service.web.stream.coach_hub import CoachHub
+from service.web.stream.hub import LiveHub
+from service.web.stream.metrics import StreamMetrics
+from service.web.stream.resume import Resumption
+
+# The application's start and stop; at the stop the beam is held before anything is closed.
+
+TURN_S = 0.03
+"""Period of reporting that the event loop turns; as short as that of the heartbeats that carry it."""
+
+
+async def report_turns(note: Callable[[int], None]) -> None:
+    """Report each turn of the running event loop with its time [ns, host monotonic], until cancelled."""
+    while True:
+        note(time.monotonic_ns())
+        await asyncio.sleep(TURN_S)
+
+
+def make_lifespan(
+    settings: Settings,
+    make_engine: Callable[[Settings], EnginePort],
+    make_rig: Callable[[Settings], QaRig],
+    tell_first: OnFirstAdmin | None = None,
+    certificate: ServedCertificate | None = None,
+) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
+    """Make the application's lifespan."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        try:
+            container = await anyio.to_thread.run_sync(
+                open_container, settings, make_engine(settings), make_rig(settings), tell_first, certificate
+            )
+        except (TidegateError, SQLAlchemyError) as error:
+            app.state.start_refusal = _refusal(error)
+            raise
+        _install(app, container, settings)
+        turns = asyncio.create_task(report_turns(container.services.engine.note_server_turn))
+        try:
+            yield
+        finally:
+            with anyio.CancelScope(shield=True):
+                # A reserved thread: calls that hang in all ordinary threads cannot keep the container open.
+                await anyio.to_thread.run_sync(container.close, limiter=anyio.CapacityLimiter(1))
+            turns.cancel()
+
+    return lifespan
+
+
+def _install(app: FastAPI, container: Container, settings: Settings) -> None:
+    """Put the services where dependencies and streams find them: on the application."""
+    app.state.services = container.services
+    app.state.http_tallies = container.monitoring.http
+    app.state.access = container.access.service
+    app.state.oidc = container.access.oidc
+    app.state.armed_operator = container.access.armed_operator
+    app.state.alarm_watch = container.storage.alarms
+    app.state.hold_and_close_session = container.hold_and_close_session
+    app.state.live = LiveHub(
+        container.services.runner,
+        container.services.alarms,
+        max_clients=settings.max_live_clients,
+        stall_s=settings.live_stall_s,
+        room=settings.room,
+    )
+    app.state.coach = CoachHub(container.services.runner, container.services.coaching, stall_s=settings.live_stall_s)
+    container.monitoring.metrics.add(StreamMetrics(app.state.live.reading))
+    tails = SampleTails(SampleStore(settings.data_dir / SAMPLES_FOLDER))
+    app.state.resumption = Resumption(tails, longest_s=settings.live_resume_s)
+
+
+def _refusal(error: TidegateError | SQLAlchemyError) -> str:
+    """Return why the start failed, for the log; a database driver's own message may hold secrets."""
+    if isinstance(error, SQLAlchemyError):
+        return f"the database does not answer, or not as it should ({type(error).__name__})"
+    return str(error)
+
+
+# The languages of the page: the files of ``dashboard/lang``, listed for the page; a new language is a new file.
+
+LANGUAGE_LIST = "/lang/index.json"
+_NAME = re.compile(r"[a-z]{2}(-[A-Z]{2})?")
+
+
+def language_names(dashboard: Path) -> list[str]:
+    """Return the languages that have a file, in alphabetical order; files with other names are none."""
+    return sorted(file.stem for file in (dashboard / "lang").glob("*.json") if _NAME.fullmatch(file.stem))
+
+
+def language_route(dashboard: Path) -> Route:
+    """Make the route that lists the languages to the page."""
+    names = language_names(dashboard)
+
+    async def listed(_: object) -> Response:
+        return JSONResponse({"languages": names})
+
+    return Route(LANGUAGE_LIST, listed, name="languages")
+
 
 DASHBOARD = Path(str(files("service.web"))) / "dashboard"
 PATIENT = "/patient"

@@ -9,18 +9,101 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.calibration.camera_calibration import load_calibration
+from engine.capture.oni.reader import OniReader
+from engine.capture.oni.streams import CodedFrame
 from engine.core.compiled import numpy_forms
-from engine.core.frames import FloatArray, MeasurementState
-from engine.lab.performance.decoding import PictureCost, time_decoding
+from engine.core.frames import FloatArray, MeasurementState, RgbdFrame
+from engine.lab.evaluation.methods.plain import ARTICLE_FPS, PlainReading
 from engine.lab.performance.figures import Timing, timing_of
 from engine.lab.performance.machine import (
     SpeedBenchError,
     set_memory_aside,
     settle_as_the_service,
 )
-from engine.lab.performance.plain import PlainSession
-from engine.lab.performance.session import BenchSession, Recording
+from engine.lab.performance.session import READ_TIMEOUT_S, BenchSession, EndlessSource, Recording
 from engine.motion.learning.trainer import InlineTrainer
+
+# The plain method of the article on the benchmark's recording, timed like Tidegate: from decoded pictures onwards.
+
+# The number of training frames does not change the cost of a frame.
+TRAINING_FRAMES = 20
+MAX_UNMEASURED = 100
+
+
+class PlainSession:
+    """Measures frames one by one, up to the reconstructed surface (equation 7)."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._source = EndlessSource(recording)
+        self._source.open()
+        calibration = load_calibration(recording.calibration)
+        self._reading = PlainReading(calibration, ARTICLE_FPS, training_frames=TRAINING_FRAMES)
+
+    def learn(self) -> None:
+        """Read frames until a model is fitted; raise SpeedBenchError if the four markers are never found."""
+        for _ in range(TRAINING_FRAMES + MAX_UNMEASURED):
+            self._measure(self._read())
+            if self._reading.model is not None:
+                return
+        raise SpeedBenchError("the plain method never found its four markers")
+
+    def block(self, frames: int) -> FloatArray:
+        """Return the durations of ``frames`` frames [ns], shape (frames,)."""
+        durations_ns = np.empty(frames)
+        for number in range(frames):
+            frame = self._read()
+            started = time.perf_counter_ns()
+            self._measure(frame)
+            durations_ns[number] = time.perf_counter_ns() - started
+        return durations_ns
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._source.close()
+
+    def _read(self) -> RgbdFrame:
+        return self._source.read(READ_TIMEOUT_S)
+
+    def _measure(self, frame: RgbdFrame) -> None:
+        measured = self._reading.measure(frame)
+        if measured is not None and self._reading.model is not None:
+            self._reading.model.reconstruct(measured.beta)
+
+
+# Times the decoding of depth and colour pictures from a recording.
+
+NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureCost:
+    """Decoding of one kind of picture."""
+
+    name: str
+    timing: Timing
+
+
+def time_decoding(recording: Recording, most: int) -> tuple[PictureCost, ...]:
+    """Time the decoding of the first ``most`` pictures of each stream."""
+    coded: dict[bool, list[CodedFrame]] = {True: [], False: []}
+    with OniReader(recording.path) as reader:
+        for frame in reader.frames():
+            if len(coded[frame.is_depth]) < most:
+                coded[frame.is_depth].append(frame)
+            if min(map(len, coded.values())) >= most:
+                break
+    return tuple(_cost(NAMES[is_depth], frames) for is_depth, frames in coded.items())
+
+
+def _cost(name: str, frames: list[CodedFrame]) -> PictureCost:
+    spent_ns = np.empty(len(frames))
+    for number, frame in enumerate(frames):
+        started = time.perf_counter_ns()
+        _ = frame.decode_depth() if frame.is_depth else frame.decode_color()
+        spent_ns[number] = time.perf_counter_ns() - started
+    return PictureCost(name=name, timing=timing_of([spent_ns]))
+
 
 MIN_MEASURED_SHARE = 0.95
 

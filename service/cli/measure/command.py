@@ -6,15 +6,19 @@ from typing import Annotated
 
 import typer
 
+from engine import __version__
 from engine.calibration.camera_calibration import load_calibration
 from engine.capture.oni.reader import describe
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import Measurement
+from engine.core.motion_model import MotionModel
+from engine.core.provenance import MAX_TEXT, ModelOrigin, check_patient
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.limits import GateLimits
 from engine.gating.session_defaults import DWELL_MS
+from engine.motion.learning.model_file import load_model
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import FileTask, measure_recording
@@ -28,8 +32,29 @@ from service.cli.cluster.options import (
     scheduler_options,
 )
 from service.cli.measure import options
-from service.cli.measure.stored_model import model_origin, stored_model
 from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
+
+# Stored motion models: read one, and the origin that is stored with a new one.
+
+SOFTWARE = f"tidegate {__version__}"
+
+
+def stored_model(path: Path, patient: str | None) -> MotionModel:
+    """Read a model and refuse that of another patient; without ``patient``, print that this was not checked."""
+    model = load_model(path)
+    if patient is None:
+        say("Note: it was not checked that this model is this patient's; give --patient to check it", "yellow")
+    else:
+        check_patient(model.provenance.origin, patient)
+    return model
+
+
+def model_origin(recording: Path, patient: str | None) -> ModelOrigin:
+    """Return the origin of a model trained on a recording.
+
+    Without the time of day: on one processor the same recording gives the same file, byte for byte.
+    """
+    return ModelOrigin(patient=patient or "", source=recording.name[-MAX_TEXT:], software=SOFTWARE)
 
 
 def measure(

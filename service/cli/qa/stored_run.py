@@ -1,9 +1,11 @@
 """A QA run on the command line, from its record in the data folder to its report: the same as the service's."""
 
-from collections.abc import Callable, Mapping
-from contextlib import closing
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any, TypeVar
 
 from fastapi.exceptions import RequestValidationError
@@ -13,7 +15,6 @@ from engine.core.errors import TidegateError
 from engine.core.files import write_whole
 from engine.qa.bounds import QaBaseline
 from engine.qa.results import QaNeed
-from service.cli.qa.interruptible import interruptible
 from service.cli.qa.tables import print_results
 from service.cli.terminal import frame_bar, refused, say
 from service.core.errors import BoundError
@@ -27,6 +28,27 @@ from service.storage.database.engine import Database
 from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
 from service.web.problems.table import problem_of
+
+# Signals during a run that permits a beam.
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Handle SIGTERM and SIGINT as Ctrl-C: the line is held and the run recorded before the process ends.
+
+    SIGINT explicitly too: a shell starts background processes with it ignored, and this process permits a beam.
+    """
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
 
 STAGES = {
     QaNeed.PLATE: "plate, frames",

@@ -27,18 +27,19 @@ from service.core.settings.audit import AuditSettings
 from service.core.settings.beam import BeamSettings
 from service.core.settings.clinical import refusals
 from service.core.settings.config_file import SettingsError, config_path, read_config, unknown_variables
-from service.core.settings.connections import ConnectionSettings
-from service.core.settings.contract import ContractSettings
-from service.core.settings.database import DatabaseSettings
+from service.core.settings.groups import (
+    ConnectionSettings,
+    ContractSettings,
+    PlanSettings,
+    ReplaySettings,
+    RoomSettings,
+    StreamSettings,
+)
 from service.core.settings.monitoring import MonitoringSettings
 from service.core.settings.names import OVERRIDES, PREFIX, setting_name
 from service.core.settings.oidc import OidcSettings
-from service.core.settings.plans import PlanSettings
 from service.core.settings.qa import QaSettings
-from service.core.settings.replay import ReplaySettings
-from service.core.settings.room import RoomSettings
-from service.core.settings.storage import StorageSettings
-from service.core.settings.stream import StreamSettings
+from service.core.settings.storage import DatabaseSettings, StorageSettings
 
 __all__ = ["Settings", "SettingsError", "load_settings", "sources"]
 

@@ -7,12 +7,13 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
+from engine import __version__
 from engine.calibration.camera_calibration import parse_calibration
 from engine.control.outputs import LoopStatus
 from engine.core.errors import TidegateError
 from engine.core.first_reference import read_first_reference
 from engine.core.motion_model import MotionModel
-from engine.core.provenance import check_patient
+from engine.core.provenance import MAX_TEXT, ModelOrigin, check_patient
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
@@ -26,19 +27,49 @@ from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error
 from service.sessions.lifecycle.counters import SessionCounters
-from service.sessions.lifecycle.model_origin import model_origin
-from service.sessions.lifecycle.sample_head import sample_head
 from service.sessions.lifecycle.writer import SessionWriter, WriterSettings
 from service.sessions.records.sessions import SOURCE, head_of_row
 from service.storage import audit
 from service.storage.audit import Event
+from service.storage.audit.startup import redacted_settings, settings_sha256
 from service.storage.database import queries
+from service.storage.database.base import utc_text
 from service.storage.database.engine import Database
 from service.storage.files.journals import Journals
 from service.storage.files.motion_models import ModelStore
+from service.storage.samples.layout import SampleHead
 from service.storage.samples.recorder import SampleRecorder
 from service.storage.samples.store import SampleStore
 from service.storage.time_anchor import TimeAnchor
+
+# The metadata of a session's sample file: software, settings, calibration and model.
+
+
+def sample_head(plan: SessionPlan, settings: Settings, anchor: TimeAnchor) -> SampleHead:
+    """Make the head of a session's file."""
+    return SampleHead(
+        session_id=plan.session_id,
+        software=f"tidegate {__version__}",
+        settings_sha256=settings_sha256(redacted_settings(settings)),
+        calibration_sha256=plan.calibration.sha256,
+        model_id=plan.model_id or "",
+        regions=tuple(region.name for region in plan.regions.named),
+        utc=utc_text(anchor.at),
+        monotonic_ns=anchor.at_ns,
+    )
+
+
+# The origin that a learned motion model is stored with: patient, source and software.
+
+SOFTWARE = f"tidegate {__version__}"
+
+
+def model_origin(plan: SessionPlan) -> ModelOrigin:
+    """Return the origin of models learned in this session; the writer adds the time when it stores one."""
+    camera = plan.source.uri if isinstance(plan.source, sessions.DeviceSource) else None
+    source = camera or "camera" if plan.recording is None else plan.recording.name
+    return ModelOrigin(patient=plan.patient_reference, source=source[-MAX_TEXT:], software=SOFTWARE)
+
 
 WRITER_JOIN_S = 10.0
 WRITER_BUSY_TIMEOUT_S = 0.5

@@ -1,7 +1,7 @@
 """Stored answers by Idempotency-Key: the same key and request return the same answer, also after a restart.
 
 Refusals are not stored. Keys are separate per caller. An answer is kept for the time in the site's settings
-(`service.core.settings.contract`), and the newest `MAX_KEYS` of each caller and call.
+(`service.core.settings.groups`), and the newest `MAX_KEYS` of each caller and call.
 """
 
 import hashlib

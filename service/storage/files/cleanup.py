@@ -2,16 +2,104 @@
 
 import logging
 import threading
-from collections.abc import Callable
-from datetime import UTC, datetime
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
+from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from engine.core.files import file_sha256, sync_folder
 from service.core.periodic import PeriodicWorker
 from service.core.settings.settings import Settings
+from service.core.settings.storage import StorageSettings
+from service.storage import audit
+from service.storage.audit import SYSTEM, Event
+from service.storage.database.base import utc_text
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import forget_answers
-from service.storage.files.retention import Holding, remove_old
+from service.storage.database.queries import OPEN_STATUSES
+from service.storage.database.startup import SAMPLES_FOLDER
+from service.storage.database.tables import SessionRow
+from service.storage.files.tapes import RAW_FOLDER, TAPES_FOLDER
+
+# Removal of old samples, tapes and raw recordings: by age alone, oldest first, each with a row in the audit.
+#
+# Files of a closed session are removed once they are older than the site's retention; without a setting nothing is
+# removed. Files of open and of unknown sessions and the audit are never removed.
+
+KINDS = {SAMPLES_FOLDER: "samples", TAPES_FOLDER: "tape", RAW_FOLDER: "raw"}
+"""Folders of files named after their session, and the kind of each."""
+SETTING_OF = {"samples": "retain_samples_days", "tape": "retain_samples_days", "raw": "retain_raw_days"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holding:
+    """One file of a closed session."""
+
+    kind: str
+    session_id: str
+    ended_at: datetime
+    path: Path
+
+
+def holdings(data_dir: Path, ended: Mapping[str, datetime]) -> list[Holding]:
+    """List the files of closed sessions, oldest session first."""
+    found = [
+        Holding(kind=kind, session_id=session_id, ended_at=ended[session_id], path=path)
+        for folder, kind in KINDS.items()
+        for path in sorted((data_dir / folder).glob("*"))
+        if path.is_file() and (session_id := path.name.partition(".")[0]) in ended
+    ]
+    return sorted(found, key=lambda one: (one.ended_at, one.session_id))
+
+
+def removable(found: Sequence[Holding], settings: StorageSettings, now: datetime) -> list[tuple[Holding, str]]:
+    """Return the files older than the retention, each with the rule that applies."""
+    chosen = []
+    for one in found:
+        name = SETTING_OF[one.kind]
+        days: int = getattr(settings, name)
+        if days and now - one.ended_at > timedelta(days=days):
+            chosen.append((one, f"{name} is {days}"))
+    return chosen
+
+
+def ended_sessions(database: Database) -> dict[str, datetime]:
+    """When each session ended that is over."""
+    query = select(SessionRow.id, SessionRow.ended_at).where(
+        SessionRow.status.not_in(OPEN_STATUSES), SessionRow.ended_at.is_not(None)
+    )
+    with database.read() as db:
+        return {session_id: ended_at for session_id, ended_at in db.execute(query) if ended_at is not None}
+
+
+def remove_old(database: Database, data_dir: Path, settings: StorageSettings, now: datetime) -> list[Holding]:
+    """Remove the files older than the retention; return them."""
+    if not (settings.retain_samples_days or settings.retain_raw_days):
+        return []
+    chosen = removable(holdings(data_dir, ended_sessions(database)), settings, now)
+    for one, rule in chosen:
+        _remove(database, one, rule)
+    return [one for one, _ in chosen]
+
+
+def _remove(database: Database, one: Holding, rule: str) -> None:
+    """Audit the removal, then remove: after a kill in between the next turn removes the file."""
+    detail = {
+        "file": one.path.name,
+        "bytes": one.path.stat().st_size,
+        "sha256": file_sha256(one.path),
+        "ended_at": utc_text(one.ended_at),
+        "rule": rule,
+    }
+    with database.write() as db:
+        audit.append(db, Event(actor=SYSTEM, action=f"{one.kind}.removed", session_id=one.session_id, detail=detail))
+    one.path.unlink(missing_ok=True)
+    sync_folder(one.path.parent)
+    logger.warning("removed %s of session %s: %s", one.path.name, one.session_id, rule)
+
 
 logger = logging.getLogger(__name__)
 

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from service.core.settings.connections import ConnectionSettings
+from service.core.settings.groups import ConnectionSettings
 from service.core.settings.names import setting_name
 from service.web.middleware.requests import SECURITY_HEADERS
 from tests.campaigns.fuzz import record

@@ -137,7 +137,7 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="a shift that is left at the end of exhale is a breath's",
-        file="engine/gating/supervision/exhale_shape.py",
+        file="engine/gating/supervision/supervisor.py",
         old="REDISTRIBUTED_SHARE * allowed_mm:",
         new="10.0 * allowed_mm:",
         test=f"{_SUPERVISION}/test_exhale_shape.py::"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from engine.control.window_reach import placed_window, reach_beyond_mm
+from engine.control.reference_budget import placed_window, reach_beyond_mm
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, SetReference
 from engine.core.errors import ReferenceDistanceError

@@ -19,9 +19,8 @@ from engine.lab.virtual_qa import (
 from engine.qa.bounds import QaBounds
 from engine.qa.checks import check_of
 from engine.qa.inputs import PlateInput
-from engine.qa.plate import measure_plate
 from engine.qa.results import QaKind, QaNeed, QaVerdict
-from engine.qa.run import judge_all
+from engine.qa.run import judge_all, measure_plate
 from tests.support.qa.altered_plate import Altered
 
 pytestmark = pytest.mark.slow

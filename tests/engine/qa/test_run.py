@@ -27,9 +27,8 @@ from engine.qa.checks import checks_of
 from engine.qa.drill import drill_line
 from engine.qa.inputs import QaInputs
 from engine.qa.phantom import figures_of, run_of
-from engine.qa.plate import measure_plate
 from engine.qa.results import QaBound, QaKind, QaNeed, QaReport, QaVerdict
-from engine.qa.run import _total, judge_all, run_qa
+from engine.qa.run import _total, judge_all, measure_plate, run_qa
 from tests.support.qa.altered_plate import Altered
 from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched

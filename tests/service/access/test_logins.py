@@ -9,12 +9,12 @@ from starlette.datastructures import Headers
 
 from service.access.accounts.people import Change
 from service.access.accounts.store import AccessStore
-from service.access.housekeeping import AccessCleanupWorker
 from service.access.login.cookies import PLAIN_NAME, CookieScope
 from service.access.login.keys import KeyService
 from service.access.login.lockout import FREE_PER_ADDRESS, FREE_PER_NAME, MAX_SUBJECTS, MAX_WAIT, failed_again
 from service.access.login.logins import MAX_LOGINS, Attempt, hashed
 from service.access.request.authenticator import Authenticator
+from service.access.service import AccessCleanupWorker
 from service.core.errors import LockedOutError, LoginFailedError, NotFoundError, WrongPasswordError
 from service.core.permissions import Permission, Role
 from service.storage.audit.log import AuditLog

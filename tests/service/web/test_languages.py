@@ -11,8 +11,7 @@ from starlette.testclient import TestClient
 
 from engine.core.gate_state import HoldReason
 from service.core.alarm_table import ALARMS
-from service.web.app import DASHBOARD
-from service.web.languages import LANGUAGE_LIST, language_names, language_route
+from service.web.app import DASHBOARD, LANGUAGE_LIST, language_names, language_route
 
 LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
 ENGLISH = LANGUAGES["en"]

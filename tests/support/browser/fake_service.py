@@ -31,7 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import service
 from service.core.permissions import Role, permissions_of
-from service.web.languages import LANGUAGE_LIST, language_names
+from service.web.app import LANGUAGE_LIST, language_names
 from tests.support.waiting import eventually
 
 DASHBOARD = Path(service.__file__).parent / "web" / "dashboard"

@@ -17,8 +17,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from engine.beam.beam_on import BeamOnState
 from engine.core.gate_state import GateState
 from service.core.settings.settings import Settings
-from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics, StoredFigures
-from service.monitoring.metrics.replication import ReplicationSlot
+from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics, ReplicationSlot, StoredFigures
 from service.web.app import create_app
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT

@@ -2,9 +2,8 @@
 
 from dataclasses import replace
 
-from engine.lab.performance.decoding import PictureCost
 from engine.lab.performance.figures import Timing
-from engine.lab.performance.frames import FrameCosts, FrameSizes
+from engine.lab.performance.frames import FrameCosts, FrameSizes, PictureCost
 from engine.lab.performance.learning import FitCost, FitSizes, FramesWhileFitting
 from engine.lab.performance.machine import Machine
 from engine.lab.performance.memory import MemorySizes, MemoryUse

@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import DBAPIError
 
-from service.monitoring.metrics.replication import read_slots
+from service.monitoring.metrics.machine import read_slots
 from service.storage.audit.check import check_chain
 from service.storage.database.base import Base
 from service.storage.database.engine import Database

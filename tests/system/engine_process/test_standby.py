@@ -11,7 +11,7 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, SourceLos
 from service.core.errors import EngineProcessError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process, standby
+from service.engine_host.process import child_process, process_engine
 from service.engine_host.process import process_engine as port_module
 from service.engine_host.process.process_engine import LISTED_EARLIER, NEVER_LISTED, ProcessEngine
 from tests.support.engine_process import two_cameras_program
@@ -30,7 +30,7 @@ def port(tmp_path):
 
 
 def test_one_stands_by_is_replaced_when_it_dies_and_goes_with_the_service(port):
-    assert port.trouble == standby.NONE_YET
+    assert port.trouble == process_engine.NONE_YET
     eventually(lambda: port.trouble is None)
     port._standby._ready.kill()
     eventually(lambda: port.processes_lost == 1)
@@ -50,7 +50,7 @@ def test_one_stands_by_is_replaced_when_it_dies_and_goes_with_the_service(port):
 
 
 def test_one_that_cannot_be_started_is_said_and_tried_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(standby, "AGAIN_S", 0.05)
+    monkeypatch.setattr(process_engine, "AGAIN_S", 0.05)
     monkeypatch.setattr(child_process, "MODULE", "tests.service.engine_host.process.no_such_module")
     port = ProcessEngine(Settings(data_dir=tmp_path / "data"))
     eventually(lambda: "ended before it was ready" in (port.trouble or ""))

@@ -8,7 +8,7 @@ import pytest
 from engine.core.breath import Breath
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BodyPosition
 from engine.core.gate_state import HoldReason
-from engine.gating.supervision.exhale_shape import REDISTRIBUTED_SHARE, ExhaleShape
+from engine.gating.supervision.supervisor import REDISTRIBUTED_SHARE, ExhaleShape
 from tests.support.gating.streams import LIMITS, measured, motion_of
 
 LENGTH_MM = 300.0

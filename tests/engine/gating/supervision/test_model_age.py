@@ -4,7 +4,7 @@ import pytest
 
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent, LearningEventKind
-from engine.gating.supervision.model_age import NS_PER_MIN, ModelAge
+from engine.gating.supervision.supervisor import NS_PER_MIN, ModelAge
 from tests.support.gating.streams import LIMITS
 
 LONGEST_NS = int(LIMITS.max_model_age_min * NS_PER_MIN)

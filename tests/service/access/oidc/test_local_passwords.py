@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from service.access.oidc.local_passwords import LocalLogins
+from service.access.oidc.service import LocalLogins
 from service.core.errors import BoundError, LocalLoginRefusedError
 from service.core.settings.oidc import OidcSettings
 from tests.support.oidc.provider_server import Provider

@@ -6,8 +6,8 @@ import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
 from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
-from service.access.oidc.machines import OidcMachines, permissions_of
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider
+from service.access.oidc.service import OidcMachines, permissions_of
 from service.core.permissions import Permission
 from service.core.settings.oidc import OidcSettings
 from tests.support.oidc.fake_source import FakeSource

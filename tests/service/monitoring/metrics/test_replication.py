@@ -3,8 +3,7 @@
 import pytest
 from sqlalchemy import text
 
-from service.monitoring.metrics.machine import DatabaseFigures
-from service.monitoring.metrics.replication import ReplicationSlot, slot_metrics
+from service.monitoring.metrics.machine import DatabaseFigures, ReplicationSlot, slot_metrics
 from service.storage.database.engine import Database
 from tests.support.audit.rows import fill
 from tests.support.database.postgres import PostgresServer

@@ -7,7 +7,7 @@ import pytest
 
 from engine.core.head_direction import HeadDirection
 from service.planning.rt_plan.errors import PlanPositionError
-from service.planning.rt_plan.position import head_direction, position_notes, position_of
+from service.planning.rt_plan.planned_sessions import head_direction, position_notes, position_of
 from service.planning.rt_plan.reading import read_plan
 from service.storage.database.engine import Database
 from service.storage.database.tables import PlanRow

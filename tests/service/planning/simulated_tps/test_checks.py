@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.planning.simulated_tps.checks import checked
 from service.planning.simulated_tps.delivery import BeamClock, Seen
+from service.planning.simulated_tps.fraction import checked
 from service.planning.simulated_tps.report import BeamReport, FractionReport, fraction_table, write_report
 
 FRAME_US = 33_333

@@ -13,11 +13,10 @@ from service.core.settings.settings import Settings
 from service.storage import audit
 from service.storage.audit import Breakage, Event
 from service.storage.audit import supervision as care_module
-from service.storage.audit.anchor_writer import AnchorWriter
 from service.storage.audit.anchors import AnchorFile, note_restore
 from service.storage.audit.check import LOST_FILE, check_tail, check_whole
-from service.storage.audit.clock_watch import ClockWatch
 from service.storage.audit.startup import changes, redacted_settings, settings_sha256
+from service.storage.audit.supervision import AnchorWriter, ClockWatch
 from service.storage.audit.verification import read_links
 from tests.support.audit.rows import fill
 from tests.support.audit.supervised_audit import NOW, SupervisedAudit
@@ -287,7 +286,7 @@ def test_a_session_s_start_and_end_are_kept_at_once(keeping, action):
 
 
 def test_many_rows_at_once_are_one_head(keeping, monkeypatch):
-    monkeypatch.setattr("service.storage.audit.anchor_writer.BATCH_ROWS", 3)
+    monkeypatch.setattr("service.storage.audit.supervision.BATCH_ROWS", 3)
     assert keeping.look(*["session.start"] * 10) == [17]
 
 

@@ -12,8 +12,7 @@ from sqlalchemy import select
 from service.core.settings.settings import Settings
 from service.storage.audit import AuditRow
 from service.storage.files.capacity import folder_bytes, session_bytes
-from service.storage.files.cleanup import AGAIN_S, EVERY_S, CleanupWorker
-from service.storage.files.retention import ended_sessions, holdings, remove_old
+from service.storage.files.cleanup import AGAIN_S, EVERY_S, CleanupWorker, ended_sessions, holdings, remove_old
 from tests.support.samples.sessions import BEGUN, add_session
 
 OLD, NEW, OPEN, STRAY = ("0" * 32, "1" * 32, "2" * 32, "3" * 32)
@@ -92,7 +91,7 @@ def test_a_removal_that_cannot_be_written_down_does_not_happen(database, data_di
     def fails(*_arguments):
         raise RuntimeError
 
-    monkeypatch.setattr("service.storage.files.retention.audit.append", fails)
+    monkeypatch.setattr("service.storage.files.cleanup.audit.append", fails)
     with pytest.raises(RuntimeError):
         remove_old(database, data_dir, site(data_dir, retain_samples_days=30), NOW)
     assert f"samples/{OLD}.parquet" in left(data_dir)
