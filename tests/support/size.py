@@ -1,7 +1,9 @@
 """``python -m tests.support.size [COMMIT ...]``: how large the repository is; one column for each commit, HEAD last."""
 
+import ast
 import json
 import re
+import statistics
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -63,9 +65,39 @@ def operations(files: Mapping[str, bytes]) -> str:
     return str(sum(len(operations) for operations in paths.values()))
 
 
+def modules(files: Mapping[str, bytes]) -> str:
+    """Count the product's modules without packages' own, with the median of their lines."""
+    kind = re.compile(r"^(engine|service)/.*(?<!__init__)\.py$")
+    lengths = [text.count(b"\n") for path, text in files.items() if kind.match(path)]
+    return f"{len(lengths)}, {statistics.median(lengths):.0f}"
+
+
+def imported(files: Mapping[str, bytes]) -> str:
+    """Count the engine's modules that the service imports."""
+    found = set()
+    for path, text in files.items():
+        if path.startswith("service/") and path.endswith(".py"):
+            found |= set(re.findall(rb"^\s*from (engine\.[\w.]+) import", text, re.MULTILINE))
+    return str(len(found))
+
+
+def large_classes(files: Mapping[str, bytes]) -> str:
+    """Name the engine's classes with more than 20 methods."""
+    found = []
+    for path, text in files.items():
+        if path.startswith("engine/") and path.endswith(".py"):
+            classes = [one for one in ast.walk(ast.parse(text)) if isinstance(one, ast.ClassDef)]
+            counted = [(one.name, sum(isinstance(part, ast.FunctionDef) for part in one.body)) for one in classes]
+            found += [f"{name} {count}" for name, count in counted if count > 20]
+    return ", ".join(sorted(found)) or "none"
+
+
 ROWS: dict[str, Callable[[Mapping[str, bytes]], str]] = {
     "product, Python lines": lines(PRODUCT),
     "product, lines of C": lines(COMPILED),
+    "product modules, median lines": modules,
+    "engine modules that the service imports": imported,
+    "engine classes over 20 methods": large_classes,
     "page, lines": lines(PAGE),
     "tests, Python lines": lines(TESTS),
     "settings as environment variables": overrides,

@@ -252,17 +252,24 @@ class BusyPerson:
 
 
 class DeliberatePerson:
-    """Somebody who waits for the beam, holds it, releases it, sets the zero, and stops when it is on again."""
+    """Somebody who waits for the beam, holds it, releases it, sets the zero, and stops when it is on again.
+
+    Before the last steps an armed gate will do: on a busy machine late frames hold it for the whole recording.
+    """
 
     STEPS = ("hold", "release", "reference", "", "stop")
+    PATIENT_LOOKS = 30
 
     def __init__(self) -> None:
-        self.done = 0
+        self.done, self.looks = 0, 0
 
     def __call__(self, hands: Hands, detail: dict) -> None:
         step = self.STEPS[min(self.done, len(self.STEPS) - 1)]
-        is_on = make_ready(hands, detail) and detail["gate"]["state"] == "beam_on"
-        if is_on or step == "release":
+        is_armed = make_ready(hands, detail)
+        self.looks = self.looks + 1 if is_armed else 0
+        is_on = is_armed and detail["gate"]["state"] == "beam_on"
+        if is_on or step == "release" or (step in {"hold", "reference"} and self.looks > self.PATIENT_LOOKS):
+            self.looks = 0
             hands.act(step) if step else None
             self.done += 1
         time.sleep(0.02)

@@ -4,11 +4,19 @@ import { font, hatch, INK } from "./canvas.js";
 import { tr } from "../words/words.js";
 
 export const COLORS = {
-  line: "#8fd3ff", thorax: "#f0b7ff", abdomen: "#b9e07a", on: "46, 214, 140", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff",
+  line: "#8fd3ff", thorax: "#f0b7ff", abdomen: "#b9e07a", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff",
   reference: "#cfd8e0",
 };
-const STATES = { disarmed: "#5b6874", hold: "#ffb02e", dwell: "#64b5ff", beam_on: "#2ed68c", fault: "#ff5148" };
+const VARIABLES = { disarmed: "--disarmed", hold: "--hold", dwell: "--dwell", beam_on: "--on", fault: "--fault" };
 const STRIP_PX = 5;
+const colors = new Map();
+
+/** The colour of a state of the gate, that of the page's own variable; an unknown state looks like a fault. */
+function colorOf(gate) {
+  const name = VARIABLES[gate] ?? VARIABLES.fault;
+  if (!colors.has(name)) colors.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return colors.get(name);
+}
 
 /** Clip to the plot. */
 export function clip({ context, box }) {
@@ -43,14 +51,17 @@ export function drawReference({ context, box, y }, text) {
 }
 
 export function drawBeam({ context, box, x }, intervals) {
-  context.fillStyle = `rgba(${COLORS.on}, 0.16)`;
+  context.save();
+  context.fillStyle = colorOf("beam_on");
+  context.globalAlpha = 0.16;
   for (const [from, to] of intervals) context.fillRect(x(from), box.y0, x(to) - x(from), box.y1 - box.y0);
+  context.restore();
 }
 
 /** A strip at the bottom with the gate's state, the beam on as high as the others; white where nothing was received. */
 export function drawStates({ context, box, x }, intervals) {
   for (const { from, to, gate } of intervals) {
-    context.fillStyle = STATES[gate] ?? STATES.fault;
+    context.fillStyle = colorOf(gate);
     context.fillRect(x(from), box.y1 - STRIP_PX, Math.max(1, x(to) - x(from)), STRIP_PX);
   }
 }
@@ -63,7 +74,7 @@ export function drawHolds({ context, box, x }, holds) {
   let end = -Infinity;
   for (const { t, gate, text } of holds) {
     const at = x(t);
-    context.fillStyle = STATES[gate] ?? STATES.fault;
+    context.fillStyle = colorOf(gate);
     context.fillRect(at, box.y1 - STRIP_PX - 11, 1.5, 11);
     if (at < end) continue;
     context.fillText(text, at + 4, box.y1 - STRIP_PX - 1);
