@@ -155,6 +155,8 @@ def play(
 
 
 WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
+SOON = WIDE | {"dwell_ms": 10.0}
+"""For a recording that is played as fast as the machine can: with losses in every second of it no long dwell ends."""
 WINDOWS = (
     WIDE,
     {"signal": "whole", "lower_mm": -2.0, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 0.0},
@@ -252,24 +254,17 @@ class BusyPerson:
 
 
 class DeliberatePerson:
-    """Somebody who waits for the beam, holds it, releases it, sets the zero, and stops when it is on again.
-
-    Before the last steps an armed gate will do: on a busy machine late frames hold it for the whole recording.
-    """
+    """Somebody who waits for the beam, holds it, releases it, sets the zero, and stops when it is on again."""
 
     STEPS = ("hold", "release", "reference", "", "stop")
-    PATIENT_LOOKS = 30
 
     def __init__(self) -> None:
-        self.done, self.looks = 0, 0
+        self.done = 0
 
     def __call__(self, hands: Hands, detail: dict) -> None:
         step = self.STEPS[min(self.done, len(self.STEPS) - 1)]
-        is_armed = make_ready(hands, detail)
-        self.looks = self.looks + 1 if is_armed else 0
-        is_on = is_armed and detail["gate"]["state"] == "beam_on"
-        if is_on or step == "release" or (step in {"hold", "reference"} and self.looks > self.PATIENT_LOOKS):
-            self.looks = 0
+        is_on = make_ready(hands, detail) and detail["gate"]["state"] == "beam_on"
+        if is_on or step == "release":
             hands.act(step) if step else None
             self.done += 1
         time.sleep(0.02)

@@ -25,7 +25,7 @@ from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
 from service.storage.files.tapes import tape_path
 from tests.support.processor_features import WITHOUT_AVX as FEWER_FEATURES
-from tests.support.replay.real_sessions import DeliberatePerson, Played, Troubles, play
+from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
 from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.long
@@ -37,7 +37,7 @@ TROUBLES = Troubles(silence=0.03, loss=0.02, hang=0.004)
 def played(tmp_path_factory, regular_volunteer):
     """A session with commands, a hold, silences, lost frames, an engine that hung, and a model learned meanwhile."""
     data_dir = tmp_path_factory.mktemp("played") / "data"
-    return play(data_dir, regular_volunteer, seed=11, troubles=TROUBLES, person=DeliberatePerson())
+    return play(data_dir, regular_volunteer, seed=11, troubles=TROUBLES, window=SOON, person=DeliberatePerson())
 
 
 @pytest.fixture
