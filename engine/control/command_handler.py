@@ -3,13 +3,12 @@
 Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
 """
 
-import hashlib
 from typing import NamedTuple
 
+from engine.control.arming_outlook import ArmingOutlook
 from engine.control.commands import Command
-from engine.control.countersignature import OTHER_STATE, Countersignature, CountersignatureState
+from engine.control.countersignature import OTHER_STATE
 from engine.control.decisions import Cause
-from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
 from engine.control.model_follower import ModelFollower
@@ -35,14 +34,13 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError, ReasonMissingError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.ranges import Ranges
 from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.window_change import SetWindow
-from engine.gating.windows import AmplitudeWindow, GateWindow, Join, JoinedWindow
+from engine.gating.windows import AmplitudeWindow
 
 LEVEL_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
@@ -75,52 +73,15 @@ class CommandHandler:
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
         budget: ReferenceBudget,
+        outlook: ArmingOutlook,
         sign_off: PositionSignOff,
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
         self._budget, self._sign_off = budget, sign_off
-        self._countersignature = Countersignature(budget, limits)
+        self._outlook = outlook
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._follower = follower
-        self._forecast = DutyForecast(learner, limits)
         self._reference_by = ""
-        self._hashed: tuple[object, ...] = ()
-        self._hash = ""
-
-    @property
-    def predicted_duty_percent(self) -> float | None:
-        """Share of the learned breaths inside the window, 0 to 100; None where unknown, and for breath holds."""
-        return self._forecast.percent
-
-    @property
-    def learned_ranges(self) -> Ranges:
-        """The learned range of each signal of the window, for display; signals whose range is not known are absent."""
-        return self._forecast.ranges
-
-    @property
-    def is_reason_needed(self) -> bool:
-        """Whether the window is armed by a person with a reason only: joined by or, or beyond the fraction's budget."""
-        return _has_ways(self._limits.current.window) or self._budget.is_reason_needed
-
-    @property
-    def arming_state(self) -> str:
-        """Hash of what an arming would take; the same only for the same window, reference, model and head direction."""
-        learning, limits = self._learner.status, self._limits.current
-        present = (
-            limits.window,
-            (limits.dwell_ms, limits.min_on_ms, limits.min_off_ms, limits.max_cycles_per_min),
-            limits.head_direction,
-            learning.reference_number,
-            learning.model_generation,
-        )
-        if present != self._hashed:
-            self._hashed, self._hash = present, hashlib.sha256(repr(present).encode()).hexdigest()[:32]
-        return self._hash
-
-    @property
-    def countersignature(self) -> CountersignatureState:
-        """Whether the next arming needs a second person's countersignature, and who has given it."""
-        return self._countersignature.present(self.arming_state)
 
     def handle(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
@@ -228,13 +189,13 @@ class CommandHandler:
         if inputs.operator_absence:
             raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)
-        if command.seen is not None and command.seen != self.arming_state:
+        if command.seen is not None and command.seen != self._outlook.state:
             raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
         self._refuse_other_head(command)
         self._refuse_unreasoned_way(command)
-        self._forecast.refuse_free_breath()
+        self._outlook.forecast.refuse_free_breath()
         self._budget.check_arming(command)
-        self._countersignature.refuse_unsigned(command, self.arming_state, reference_by=self._reference_by)
+        self._outlook.countersignature.refuse_unsigned(command, self._outlook.state, reference_by=self._reference_by)
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
@@ -254,11 +215,11 @@ class CommandHandler:
     def _countersign(self, command: Countersign) -> None:
         if not self._learner.status.has_reference or self._limits.is_window_unresolved:
             raise CountersignatureError("there is no reference yet, or the window is still in per cent: set it first")
-        self._countersignature.sign(command, self.arming_state)
+        self._outlook.countersignature.sign(command, self._outlook.state)
 
     def _refuse_unreasoned_way(self, command: Arm) -> None:
         """Refuse a window with several ways into the beam to a program, and without a person's reason."""
-        if not _has_ways(self._limits.current.window):
+        if not self._outlook.has_ways:
             return
         if not command.is_person or not command.reason.strip():
             raise CommandRefusedError(
@@ -308,8 +269,3 @@ class CommandHandler:
         if inputs.queue_trouble is not None:
             raise CommandRefusedError(f"the fault persists ({inputs.queue_trouble}): nothing can be recorded")
         self._controller.acknowledge(command)
-
-
-def _has_ways(window: GateWindow) -> bool:
-    """Whether any one of several conditions permits the beam."""
-    return isinstance(window, JoinedWindow) and window.join is Join.OR

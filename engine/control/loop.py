@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from engine.beam.beam_on import BeamOnState
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
+from engine.control.arming_outlook import ArmingOutlook
 from engine.control.command_handler import CommandHandler
 from engine.control.command_queue import URGENT, CommandQueue, QueuedCommand
 from engine.control.commands import Command
@@ -138,6 +139,7 @@ class EngineLoop:
         budget = ReferenceBudget(learner, self._limits)
         self._sign_off = PositionSignOff(learner, self._limits)
         self._follower = ModelFollower(learner, self._limits)
+        self._outlook = ArmingOutlook(learner, self._limits, budget)
         self._views = LiveViews(
             limits=self._limits,
             outputs=self._outputs,
@@ -161,6 +163,7 @@ class EngineLoop:
             presence=self._presence,
             supervisor=self._supervisor,
             budget=budget,
+            outlook=self._outlook,
             sign_off=self._sign_off,
         )
         self.on_turn: Callable[[], None] = _do_nothing
@@ -337,11 +340,11 @@ class EngineLoop:
             source=self._views.description,
             view=self._views.newest,
             learning=self._learner.status,
-            predicted_duty_percent=self._handler.predicted_duty_percent,
-            learned_ranges=self._handler.learned_ranges,
-            arming_state=self._handler.arming_state,
-            is_reason_needed=self._handler.is_reason_needed,
-            countersignature=self._handler.countersignature,
+            predicted_duty_percent=self._outlook.forecast.percent,
+            learned_ranges=self._outlook.forecast.ranges,
+            arming_state=self._outlook.state,
+            is_reason_needed=self._outlook.is_reason_needed,
+            countersignature=self._outlook.signed,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:
