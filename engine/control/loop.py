@@ -8,7 +8,7 @@ it holds the beam before anything else.
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
@@ -17,10 +17,9 @@ from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
 from engine.control.arming_outlook import ArmingOutlook
 from engine.control.command_handler import CommandHandler
-from engine.control.command_queue import URGENT, CommandQueue, QueuedCommand
+from engine.control.command_queue import CommandQueue
 from engine.control.commands import Command
 from engine.control.decision_records import DecisionRecords
-from engine.control.decisions import Cause
 from engine.control.engine_status import EngineStatus
 from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
@@ -33,30 +32,26 @@ from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
-from engine.control.turn_inputs import CommandInputs
 from engine.control.turn_reader import TurnReader
+from engine.control.turns import TurnRunner
 from engine.control.watchdog import Watchdog
 from engine.core.camera_view import CameraView
-from engine.core.clock import NS_PER_S, Clock
+from engine.core.clock import Clock
 from engine.core.errors import (
     BeamLineError,
     RecordingError,
     SourceEndedError,
     SourceLostError,
-    TidegateError,
 )
-from engine.core.frames import Measurement, RgbdFrame
+from engine.core.frames import RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
 from engine.core.learning_events import LearningEvent
 from engine.core.replacing import replace
-from engine.gating.gate import Ending, Gate, GateEvent, Interruption, Silence
+from engine.gating.gate import Ending, Gate, Interruption
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
-
-FIRST_FRAME_NS = 10 * NS_PER_S
-"""Longest time from the opening of a camera to its first frame; then it is lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +105,7 @@ class EngineLoop:
         beam_on: Callable[[], BeamOnState | None] = no_signal,
         camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
-        self._source, self._measurer, self._learner, self._beam = source, measurer, learner, beam
+        self._source, self._learner, self._beam = source, learner, beam
         self._tap, self._clock = tap, TappedClock(clock, tap)
         self._commands = CommandQueue(
             clock=clock, capacity=command_capacity, longest_silence_ns=ns_from_ms(limits.max_service_silence_ms)
@@ -134,11 +129,9 @@ class EngineLoop:
             stop_requested=self._stop_requested,
             tap=tap,
         )
-        self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        self._supervisor = FrameSupervisor(limits)
-        budget = ReferenceBudget(learner, self._limits)
-        self._sign_off = PositionSignOff(learner, self._limits)
-        self._follower = ModelFollower(learner, self._limits)
+        self._line = line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
+        supervisor, budget = FrameSupervisor(limits), ReferenceBudget(learner, self._limits)
+        sign_off, follower = PositionSignOff(learner, self._limits), ModelFollower(learner, self._limits)
         self._outlook = ArmingOutlook(learner, self._limits, budget)
         self._views = LiveViews(
             limits=self._limits,
@@ -146,45 +139,55 @@ class EngineLoop:
             watchdog=self._watchdog,
             beam_on=beam_on,
             reference_distance=budget.present,
-            movement=lambda: self._supervisor.movement,
-            checks=lambda: self._supervisor.checks,
-            marker_travel_mm=lambda: self._supervisor.marker_travel_mm,
-            position=self._sign_off.present,
+            movement=lambda: supervisor.movement,
+            checks=lambda: supervisor.checks,
+            marker_travel_mm=lambda: supervisor.marker_travel_mm,
+            position=sign_off.present,
             camera_view=camera_view,
         )
-        self._controller = self._make_controller()
-        self._handler = CommandHandler(
-            measurer=measurer,
-            learner=learner,
-            line=self._line,
-            limits=self._limits,
-            controller=self._controller,
-            follower=self._follower,
-            presence=self._presence,
-            supervisor=self._supervisor,
-            budget=budget,
-            outlook=self._outlook,
-            sign_off=self._sign_off,
-        )
-        self.on_turn: Callable[[], None] = _do_nothing
-        beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
-        self._published = EngineStatus()
-        self._opened_ns = 0
-        self._is_camera_away = False
-        self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
-
-    def _make_controller(self) -> GateController:
         records = DecisionRecords(
-            clock=self._clock, limits=self._limits, outputs=self._outputs, views=self._views, tap=self._tap
+            clock=self._clock, limits=self._limits, outputs=self._outputs, views=self._views, tap=tap
         )
-        return GateController(
+        self._controller = GateController(
             reader=self._reader,
-            line=self._line,
+            line=line,
             clock=self._clock,
             limits=self._limits,
             records=records,
             watchdog=self._watchdog,
         )
+        handler = CommandHandler(
+            measurer=measurer,
+            learner=learner,
+            line=line,
+            limits=self._limits,
+            controller=self._controller,
+            follower=follower,
+            presence=self._presence,
+            supervisor=supervisor,
+            budget=budget,
+            outlook=self._outlook,
+            sign_off=sign_off,
+        )
+        self._turns = TurnRunner(
+            reader=self._reader,
+            measurer=measurer,
+            learner=learner,
+            controller=self._controller,
+            handler=handler,
+            supervisor=supervisor,
+            limits=self._limits,
+            sign_off=sign_off,
+            follower=follower,
+            outputs=self._outputs,
+            publish=self._publish,
+            hold=beam.hold,
+        )
+        self.on_turn: Callable[[], None] = _do_nothing
+        beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
+        self._published = EngineStatus()
+        self._opened_ns = 0
+        self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
 
     def start(self) -> None:
         """Start the engine and its watchdog; a failure to open shows in :attr:`status`."""
@@ -293,7 +296,7 @@ class EngineLoop:
             self._tap.begin()
             self._open()
             while not (turn := self._reader.turn()).is_stop_requested:
-                self._run_once(turn.commands)
+                self._turns.run(turn.commands, self._opened_ns)
                 self._publish()
                 self._tap.turn()
                 self.on_turn()
@@ -347,102 +350,9 @@ class EngineLoop:
             countersignature=self._outlook.signed,
         )
 
-    def _run_once(self, commands: Iterable[QueuedCommand]) -> None:
-        for queued in commands:
-            self._answer(queued)
-        last = self._controller.gate.last
-        read = self._reader.frame(last_received_ns=None if last is None else last.received_ns)
-        if read.frame is not None:
-            self._measure(read.frame)
-        elif read.away is not None:
-            self._decide_without_camera(read.away)
-        else:
-            self._decide_without_frame(read.at_ns)
-
-    def _measure(self, frame: RgbdFrame) -> None:
-        """Measure a frame, and decide on it."""
-        if self._is_camera_away:
-            self._is_camera_away = False
-            self._measurer.camera_returned()
-        self._learner.keep_model(is_kept=self._controller.gate.is_armed)
-        measurement = self._measurer.measure(frame)
-        notices = self._learner.take_notices()
-        self._outputs.put_notices(notices)
-        supervision = self._supervisor.check(
-            frame,
-            measurement,
-            window=self._limits.current.window,
-            model=self._learner.status.model,
-            has_reference=self._learner.status.has_reference,
-            notices=notices,
-        )
-        self._sign_off.follow(measurement, supervision)
-        unsigned = self._sign_off.interruption()
-        self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
-
-    def _decide_without_camera(self, detail: str) -> None:
-        """Fault for as long as the camera is away; an acknowledgement meanwhile does not clear it."""
-        self._is_camera_away = True
-        self._controller.decide(supervision=(Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),))
-
-    def _decide_without_frame(self, timed_out_ns: int) -> None:
-        self._controller.decide(Silence(since_ns=self._opened_ns))
-        if self._controller.gate.last is None and timed_out_ns - self._opened_ns > FIRST_FRAME_NS:
-            msg = f"the source was opened, and showed nothing for {FIRST_FRAME_NS // NS_PER_S} s"
-            raise SourceLostError(msg)
-
-    def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:
-        events: list[GateEvent] = []
-        if self._follower.has_changed():
-            events.append(Ending(reason=HoldReason.DISARMED))
-        self._follower.resolve_window()
-        if not _is_of(measurement, frame):
-            events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
-        events.append(measurement)
-        if self._learner.status.model is None:
-            events.append(Interruption(reason=HoldReason.MODEL_MISSING))
-        elif not self._learner.status.has_reference:
-            events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
-        self._controller.decide(*events, cause=Cause(frame=frame, measurement=measurement), supervision=supervision)
-
-    # Commands.
-
-    def _answer(self, queued: QueuedCommand) -> None:
-        """Carry a command out; answer it once the line has been driven."""
-        inputs = self._reader.command(queued)
-        if not inputs.is_wanted and not isinstance(queued.command, URGENT):
-            return
-        try:
-            self._handle(queued.command, inputs)
-        except TidegateError as error:
-            queued.answer.set_exception(error)
-        except BaseException as error:
-            self._beam.hold(HoldReason.ENGINE_FAILED)
-            queued.answer.set_exception(error)
-            raise
-        else:
-            if inputs.is_wanted:
-                queued.answer.set_result(None)
-
-    def _handle(self, command: Command, inputs: CommandInputs) -> None:
-        """Carry a command out, and publish the new status before it is answered."""
-        try:
-            self._handler.handle(command, inputs)
-        finally:
-            self._publish()
-
 
 def _do_nothing() -> None:
     """Do nothing after a turn: the default of ``on_turn``."""
-
-
-def _is_of(measurement: Measurement, frame: RgbdFrame) -> bool:
-    return (measurement.frame_index, measurement.timestamp_us, measurement.received_ns, measurement.missed_frames) == (
-        frame.index,
-        frame.timestamp_us,
-        frame.received_ns,
-        frame.missed_frames,
-    )
 
 
 def _way_out_of(error: Exception) -> _WayOut:

@@ -354,7 +354,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     def _run(self, happened) -> None:
         was_on = self.oracle.is_on
-        self.loop._run_once(self.loop._reader.turn().commands)
+        self.loop._turns.run(self.loop._reader.turn().commands, self.loop._opened_ns)
         happened()
         self._stand()
         self.times_on += self.oracle.is_on and not was_on
@@ -365,7 +365,7 @@ class LoopMachine(RuleBasedStateMachine):
         before, line_before = self.loop.gate, self.line.is_really_on()
         answer: Future[None] = self.loop.submit(command)
         for letter in self.loop._commands.take():
-            self.loop._answer(letter)
+            self.loop._turns._answer(letter)
         error = answer.exception(timeout=0)
         assert error is None or isinstance(error, TidegateError)
         if is_refused:
