@@ -1,1 +1,46 @@
-"""Frames: the roles of a source and a camera driver, one folder for each SDK, ``.oni`` recordings, recorders."""
+"""Cameras and recordings as sources of frames: one folder for each SDK behind `drivers`, ``.oni`` files, recorders.
+
+A source (:class:`DepthSource`) gives millimetres and host times, and loses no frame silently.
+"""
+
+from engine.capture.checked_source import (
+    CheckedSource,
+)
+from engine.capture.oni.description import (
+    RecordingDescription,
+    StreamSummary,
+)
+from engine.capture.oni.reader import (
+    OniReader,
+    describe,
+)
+from engine.capture.raw_recorder import (
+    RawRecorder,
+    part_of,
+)
+from engine.capture.reconnecting import (
+    ReturningSource,
+)
+from engine.capture.recording_source import (
+    OniFileSource,
+)
+from engine.capture.source import (
+    DepthSource,
+    LiveSource,
+    SourceDescription,
+)
+
+__all__ = [
+    "CheckedSource",
+    "DepthSource",
+    "LiveSource",
+    "OniFileSource",
+    "OniReader",
+    "RawRecorder",
+    "RecordingDescription",
+    "ReturningSource",
+    "SourceDescription",
+    "StreamSummary",
+    "describe",
+    "part_of",
+]

@@ -12,8 +12,7 @@ from service.cli.command_group import command_group
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.beam.commissioning import Pulser
-    from engine.beam.second_input import DrilledReceiver
+    from engine.beam import DrilledReceiver, Pulser
     from engine.core.clock import Clock
     from engine.core.errors import TidegateError
     from service.core.settings.settings import Settings
@@ -57,7 +56,7 @@ def check(
     """
     if pulse is not None and not is_safe:
         raise refused(COMMAND, "--pulse permits the beam: it needs --yes-the-beam-is-safe")
-    from engine.beam.commissioning import PULSE_BOUNDS_MS
+    from engine.beam import PULSE_BOUNDS_MS
     from engine.core.errors import TidegateError
     from service.cli.data_folder import settings_of_folder
     from service.core.settings.settings import SettingsError, load_settings
@@ -78,7 +77,7 @@ def check(
 
 
 def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
-    from engine.beam.commissioning import Pulser
+    from engine.beam import Pulser
     from engine.core.clock import MonotonicClock
     from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined
 
@@ -106,7 +105,7 @@ def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
 
 
 def _answers(settings: "Settings", parts: "Sequence[LinePart]") -> Rows:
-    from engine.beam.wire.supervised_line import WiredBeamLine
+    from engine.beam import WiredBeamLine
 
     return [
         (f"{kind}: request -> answer", part.answers_ms if isinstance(part, WiredBeamLine) else ())
@@ -139,7 +138,7 @@ def _stood_still(
     pulser: "Pulser", receivers: "Sequence[DrilledReceiver]", clock: "Clock", repeats: int
 ) -> "tuple[Rows, TidegateError | None]":
     """Let the heartbeat of every receiver stand still; return the times, and what failed."""
-    from engine.beam.heartbeat_drill import HeartbeatDrill, check_verifiable
+    from engine.beam import HeartbeatDrill, check_verifiable
     from engine.core.errors import BeamLineError
 
     drill = HeartbeatDrill(pulser, clock, _wait_ns)

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from engine.capture.oni.description import RecordingDescription, StreamSummary
-from engine.capture.oni.reader import describe
+from engine.capture import RecordingDescription, StreamSummary, describe
 from engine.core.errors import TidegateError
 
 _EXIT_BAD_INPUT = 2

@@ -4,17 +4,30 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import TypeAlias
 
-from engine.beam.beam_on import BeamOnState, ReadBeamOn
-from engine.beam.compared_line import ComparedBeamLine
-from engine.beam.line import BeamLine
-from engine.beam.paired import PairedBeamLine
-from engine.beam.second_input import DrilledReceiver, OwnInput, SecondInput
-from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
-from engine.beam.status.published_line import PublishedBeamLine
-from engine.beam.status.publisher import HttpSender, Sender, StatusPublisher, UdpSender
-from engine.beam.wire.modbus import ModbusInput, ModbusWire, rtu_wire, tcp_wire
-from engine.beam.wire.serial_relay import RelayWire
-from engine.beam.wire.supervised_line import WiredBeamLine
+from engine.beam import (
+    BeamLine,
+    BeamOnState,
+    ComparedBeamLine,
+    DrilledReceiver,
+    HttpSender,
+    ModbusInput,
+    ModbusWire,
+    OwnInput,
+    PairedBeamLine,
+    PublishedBeamLine,
+    ReadBeamOn,
+    RelayWire,
+    SecondInput,
+    Sender,
+    SimulatedAccelerator,
+    SimulatedBeamLine,
+    SimulatedReceiver,
+    StatusPublisher,
+    UdpSender,
+    WiredBeamLine,
+    rtu_wire,
+    tcp_wire,
+)
 from engine.core.clock import Clock
 from service.core.settings.beam import READBACK, BeamSettings, LineKind, second_input_place, udp_target
 

@@ -3,7 +3,7 @@
 import threading
 from typing import NamedTuple
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from service.core.errors import QaActiveError, ServiceStoppingError, SessionActiveError
 from service.engine_host.roles import RunningSession
 

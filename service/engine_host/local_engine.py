@@ -12,21 +12,15 @@ from pathlib import Path
 from engine.calibration.camera_calibration import Calibration
 from engine.calibration.camera_view import CameraViewMeter
 from engine.calibration.device_registration import registered_calibration
-from engine.capture import drivers
-from engine.capture.reconnecting import ReturningSource
-from engine.capture.recording_source import OniFileSource
-from engine.capture.source import DepthSource, LiveSource
-from engine.control.commands import Command
-from engine.control.engine_status import EngineStatus
-from engine.control.loop import EngineLoop
-from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
+from engine.capture import DepthSource, LiveSource, OniFileSource, ReturningSource, drivers
+from engine.control import Command, EngineLoop, EngineStatus, FrameRecord, GateTransition, LoopStatus
 from engine.core.clock import Clock, MonotonicClock
 from engine.core.errors import CommandRefusedError, InvalidValueError, RuntimeMissingError, SourceLostError
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import TappedClock
 from engine.core.learning_events import LearningEvent
-from engine.gating.limits import GateLimits
+from engine.gating import GateLimits
 from engine.motion.learning.tasks import Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
 from engine.motion.pipeline import Pipeline

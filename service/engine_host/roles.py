@@ -10,10 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from engine.calibration.camera_calibration import Calibration
-from engine.control.commands import Command
-from engine.control.engine_status import EngineStatus
-from engine.control.journal.journal import TransitionJournal
-from engine.control.outputs import FrameRecord, GateTransition
+from engine.control import Command, EngineStatus, FrameRecord, GateTransition, TransitionJournal
 from engine.core.first_reference import FirstReference
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason

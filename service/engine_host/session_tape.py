@@ -6,8 +6,8 @@ say so.
 
 import logging
 
-from engine.capture.raw_recorder import RawRecorder
-from engine.gating.limits import GateLimits
+from engine.capture import RawRecorder
+from engine.gating import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.comparison import this_machine
 from engine.offline.replay.encoding import TapeEncoding

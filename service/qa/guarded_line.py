@@ -1,6 +1,6 @@
 """The beam line of a QA run: another thread can revoke it permanently at any time."""
 
-from engine.beam.line import BeamLine, TroubleListener
+from engine.beam import BeamLine, TroubleListener
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason, Lease
 

@@ -7,12 +7,9 @@ import threading
 from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
-from engine.capture import drivers
-from engine.capture.recording_source import OniFileSource
-from engine.capture.source import DepthSource
+from engine.capture import DepthSource, OniFileSource, drivers
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
-from engine.gating.limits import GateLimits
-from engine.gating.windows import amplitude_window
+from engine.gating import GateLimits, amplitude_window
 from engine.motion.settings import PipelineSettings
 from engine.qa.bounds import QaBaseline, QaBounds
 from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs

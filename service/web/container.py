@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from engine import __version__
-from engine.capture.source import SourceDescription
+from engine.capture import SourceDescription
 from engine.core.compiled import frame_path
 from service.access.accounts.first_admin import OnFirstAdmin, make_first_admin
 from service.access.armed_operator import ArmedOperator

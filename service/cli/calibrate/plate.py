@@ -79,7 +79,7 @@ def _read(
     recordings: list[Path], cameras: "Calibration", steps: "DepthSteps | None", part: float
 ) -> list["PlateReading"]:
     from engine.calibration.procedures.flat_plate import read_plate
-    from engine.capture.oni.reader import describe
+    from engine.capture import describe
 
     readings = []
     with frame_bar() as progress:

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
-from engine.capture.oni.reader import describe
-from engine.capture.recording_source import OniFileSource
+from engine.capture import OniFileSource, describe
 from engine.core.clock import MonotonicClock
 from engine.core.files import write_whole
 from engine.core.frames import Measurement, RgbdFrame

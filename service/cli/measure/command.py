@@ -8,16 +8,13 @@ import typer
 
 from engine import __version__
 from engine.calibration.camera_calibration import load_calibration
-from engine.capture.oni.reader import describe
-from engine.capture.recording_source import OniFileSource
+from engine.capture import OniFileSource, describe
 from engine.core.clock import MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import Measurement
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import MAX_TEXT, ModelOrigin, check_patient
-from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
-from engine.gating.limits import GateLimits
-from engine.gating.session_defaults import DWELL_MS
+from engine.gating import DWELL_MS, HEAD_DIRECTION_UNKNOWN, GateLimits
 from engine.motion.learning.model_file import load_model
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from engine.capture.source import SourceDescription
+from engine.capture import SourceDescription
 from engine.core.clock import MonotonicClock
 from engine.qa.bounds import QaBaseline
 from engine.qa.latency.measure import SECONDS_BOUNDS
@@ -112,7 +112,7 @@ def _request(
 
 def virtual_job(*, seed: int, seconds: float, delay_ms: float) -> LatencyJob:
     """Build a job on a virtual camera of known latency; the site's camera and beam line are not used."""
-    from engine.beam.simulated import SimulatedBeamLine
+    from engine.beam import SimulatedBeamLine
     from engine.lab.virtual_latency import VirtualFaults, virtual_light
 
     given = virtual_light(VirtualFaults(delay_ms=delay_ms), seed=seed, seconds=seconds)

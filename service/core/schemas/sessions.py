@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
 
 from engine.core.errors import InvalidValueError
-from engine.gating.windows import MAX_MOTION_MM
+from engine.gating import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken

@@ -12,9 +12,17 @@ from pydantic import Field, StringConstraints, model_validator
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.gating import session_defaults
-from engine.gating.windows import HOLD_BOUNDS, MAX_CONDITIONS, AmplitudeWindow, BreathHoldWindow, PhaseWindow, Unit
-from engine.gating.windows import Condition as EngineCondition
+from engine.gating import (
+    DWELL_MS,
+    HOLD_BOUNDS,
+    MAX_CONDITIONS,
+    AmplitudeWindow,
+    BreathHoldWindow,
+    PhaseWindow,
+    Unit,
+)
+from engine.gating import HYSTERESIS as DEFAULT_HYSTERESIS
+from engine.gating import Condition as EngineCondition
 from engine.motion.named_regions import NAME_PATTERN
 from service.core.schemas.base import Request, broken
 
@@ -25,7 +33,7 @@ JoinName = Literal["and", "or"]
 
 REGION_ROWS, REGION_COLUMNS = 14, 8
 LONGEST_STILL_L = 5.0
-HYSTERESIS = {unit.value: distance for unit, distance in session_defaults.HYSTERESIS.items()}
+HYSTERESIS = {unit.value: distance for unit, distance in DEFAULT_HYSTERESIS.items()}
 """Default distance inside the edges that a signal must reach to enter, by unit."""
 
 STILL = {"mm": 1.0, "l": 0.05}
@@ -224,7 +232,7 @@ class Window(Condition):
     """The gating window; the beam may be on only while the patient stays inside it."""
 
     dwell_ms: float = Field(
-        default=session_defaults.DWELL_MS,
+        default=DWELL_MS,
         ge=0.0,
         le=10_000.0,
         description="Time that the signal must stay inside before beam on",

@@ -10,12 +10,23 @@ from urllib.parse import urlsplit
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode
 
-from engine.beam.beam_on import ABSENT_BOUNDS_S, ABSENT_S, AFTER_PERMIT_BOUNDS_MS, AFTER_PERMIT_MS
-from engine.beam.simulated import ACCELERATOR_BOUNDS_MS
-from engine.beam.wire.line_supervisor import TIME_BOUNDS, LineTimes
-from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
-from engine.beam.wire.serial_relay import Contact, Protocol, check_channels
-from engine.beam.wire.serial_settings import BAUD_RATES, Parity, check_baud
+from engine.beam import (
+    ABSENT_BOUNDS_S,
+    ABSENT_S,
+    ACCELERATOR_BOUNDS_MS,
+    AFTER_PERMIT_BOUNDS_MS,
+    AFTER_PERMIT_MS,
+    BAUD_RATES,
+    MAP_BOUNDS,
+    TIME_BOUNDS,
+    Contact,
+    LineTimes,
+    Parity,
+    Protocol,
+    RegisterMap,
+    check_baud,
+    check_channels,
+)
 from engine.core.errors import InvalidValueError
 from service.core.settings.names import PREFIX, setting_name
 

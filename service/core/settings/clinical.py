@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from engine.core.breath import BreathEventKind
-from engine.gating.limits import BREATHING_CEASED
+from engine.gating import BREATHING_CEASED
 from service.core.settings.beam import BeamSettings
 from service.core.settings.names import PREFIX, setting_name
 

@@ -16,8 +16,7 @@ from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, Pydant
 
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
-from engine.gating.limits import BREATHING_CEASED, LIMIT_BOUNDS, GateLimits
-from engine.gating.windows import HOLD_BOUNDS, amplitude_window
+from engine.gating import BREATHING_CEASED, HOLD_BOUNDS, LIMIT_BOUNDS, GateLimits, amplitude_window
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
 from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM
 from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings

@@ -21,9 +21,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from engine.calibration.camera_calibration import Calibration
-from engine.control.engine_status import EngineStatus
-from engine.control.journal.journal import ClientJournal
-from engine.control.outputs import LiveView, LoopStatus
+from engine.control import ClientJournal, EngineStatus, LiveView, LoopStatus
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import ColorImage, frozen
 from engine.core.gate_state import HoldReason

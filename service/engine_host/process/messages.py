@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 
 from engine.calibration.camera_calibration import Calibration
-from engine.control.commands import Command
-from engine.control.engine_status import EngineStatus
-from engine.control.outputs import FrameRecord, GateTransition
+from engine.control import Command, EngineStatus, FrameRecord, GateTransition
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent

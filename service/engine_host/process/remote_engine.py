@@ -18,11 +18,16 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
-from engine.control.command_queue import URGENT
-from engine.control.commands import Command
-from engine.control.engine_status import EngineStatus
-from engine.control.journal.journal import OwnerJournal
-from engine.control.outputs import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.control import (
+    URGENT,
+    Command,
+    EngineStatus,
+    FrameRecord,
+    GateTransition,
+    LiveView,
+    LoopStatus,
+    OwnerJournal,
+)
 from engine.core.clock import NS_PER_MS
 from engine.core.commands import ActivateModel
 from engine.core.errors import CommandRefusedError

@@ -10,8 +10,7 @@ from functools import partial
 from typing import Literal
 
 from engine.calibration.camera_calibration import Calibration
-from engine.capture.checked_source import CheckedSource
-from engine.capture.source import LiveSource, SourceDescription
+from engine.capture import CheckedSource, LiveSource, SourceDescription
 from engine.core.errors import CameraMismatchError
 from service.core.settings.settings import Settings
 

@@ -10,8 +10,7 @@ from typing import TypeVar
 
 from engine.core.breath import LITRES_PER_MM, SignalChoice
 from engine.core.head_direction import HeadDirection
-from engine.gating.limits import GateLimits
-from engine.gating.windows import GateWindow, JoinedWindow
+from engine.gating import GateLimits, GateWindow, JoinedWindow
 from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Condition, Window

@@ -8,8 +8,8 @@ from pathlib import Path
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from engine.beam.beam_on import BeamOnState
-from engine.control.outputs import LiveView
+from engine.beam import BeamOnState
+from engine.control import LiveView
 from engine.core.gate_state import GateState, HoldReason
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort, RunningEngine

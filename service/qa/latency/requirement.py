@@ -10,8 +10,8 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.orm import Session
 
-from engine.capture.source import SourceDescription
-from engine.gating.limits import LIMIT_BOUNDS
+from engine.capture import SourceDescription
+from engine.gating import LIMIT_BOUNDS
 from service.core.errors import BoundError, CameraLatencyError
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings

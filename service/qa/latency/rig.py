@@ -5,8 +5,7 @@ Nothing is opened here but the camera, once, to describe it: the run records whi
 
 import threading
 
-from engine.capture import drivers
-from engine.capture.source import DepthSource, SourceDescription
+from engine.capture import DepthSource, SourceDescription, drivers
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
 from engine.qa.bounds import QaBaseline, QaBounds
 from engine.qa.inputs import QaInputs

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.gate_state import GateState, HoldReason
 from service.core.alarm_table import ALARMS, AUDIT_TROUBLE, PERMIT_WITHOUT_BEAM, THREAD_ENDED, AlarmScope
 

@@ -7,10 +7,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from engine.control.engine_status import EngineStatus
-from engine.control.outputs import LiveView
+from engine.control import EngineStatus, LiveView
 from engine.core.gate_state import GateState
-from engine.gating.windows import HoldStage
+from engine.gating import HoldStage
 from service.core.errors import BoundError, SessionStateError
 from service.core.schemas.coach_messages import Language
 from service.core.schemas.coaching import Coaching

@@ -8,20 +8,12 @@ trust is not shown.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.breath import SignalChoice
 from engine.core.gate_state import Guidance, HoldReason
 from engine.core.ranges import LearnedRange
 from engine.core.signals import signal_of
-from engine.gating.windows import (
-    AmplitudeWindow,
-    BreathHoldWindow,
-    ConditionState,
-    HoldKind,
-    HoldStage,
-    Unit,
-    initial_states,
-)
+from engine.gating import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldKind, HoldStage, Unit, initial_states
 from service.core.finite import rounded_or_none
 from service.core.schemas.coach_messages import Instruction
 from service.core.schemas.coaching import Coaching, PercentRange

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.errors import CommandRefusedError, InvalidValueError, ReferenceDistanceError
 from service.core.errors import BoundError
 from service.core.schemas.gate import BaselineCorrectionRequest

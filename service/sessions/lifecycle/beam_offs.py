@@ -1,7 +1,7 @@
 """The times from hold to beam off, taken from the newest views as they are measured: each once, in order."""
 
-from engine.beam.beam_on import BeamOff
-from engine.control.outputs import LiveView
+from engine.beam import BeamOff
+from engine.control import LiveView
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.database import queries

@@ -11,11 +11,10 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
-from engine.control.command_queue import MAX_WAIT_NS
-from engine.control.commands import Command
+from engine.control import MAX_WAIT_NS, Command
 from engine.core.commands import Acknowledge, Arm, Countersign, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import CommandRefusedError
-from engine.gating.window_change import SetWindow
+from engine.gating import SetWindow
 from service.core.errors import EngineTimeoutError, SessionStateError
 from service.core.request_time import request_time_ns
 from service.engine_host.equipment import EquipmentSlot

@@ -2,7 +2,7 @@
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, disable_created_metrics
 
-from engine.control.outputs import FrameRecord, GateTransition
+from engine.control import FrameRecord, GateTransition
 from engine.core.clock import NS_PER_S
 from engine.core.frames import MeasurementState
 from engine.core.gate_state import GateState, HoldReason

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import cv2
 
-from engine.capture.source import SourceDescription
-from engine.control.outputs import LiveView
+from engine.capture import SourceDescription
+from engine.control import LiveView
 from engine.core.commands import (
     ActivateModel,
     ApplyModel,

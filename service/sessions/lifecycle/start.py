@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from engine import __version__
 from engine.calibration.camera_calibration import parse_calibration
-from engine.control.outputs import LoopStatus
+from engine.control import LoopStatus
 from engine.core.errors import TidegateError
 from engine.core.first_reference import read_first_reference
 from engine.core.motion_model import MotionModel

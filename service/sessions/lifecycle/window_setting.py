@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from engine.control.outputs import LiveView
-from engine.gating.limits import GateLimits
-from engine.gating.window_change import SetWindow
+from engine.control import LiveView
+from engine.gating import GateLimits, SetWindow
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings

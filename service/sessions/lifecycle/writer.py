@@ -20,9 +20,8 @@ from typing import NamedTuple, TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from engine.beam.beam_on import BeamOff
-from engine.control.journal.journal import TransitionJournal
-from engine.control.outputs import GateTransition, LoopStatus
+from engine.beam import BeamOff
+from engine.control import GateTransition, LoopStatus, TransitionJournal
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from engine.capture.source import SourceDescription
+from engine.capture import SourceDescription
 from engine.core.errors import TidegateError
 from engine.core.head_direction import depends_on_head
 from service.core.schemas.arming import ArmingItem, ArmingSummary

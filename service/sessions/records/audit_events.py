@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from engine.control.outputs import GateTransition
+from engine.control import GateTransition
 from engine.core.learning_events import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
 from engine.motion.learning.model_file import header_text

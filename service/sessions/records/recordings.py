@@ -4,7 +4,7 @@ import hashlib
 from datetime import UTC, datetime
 from pathlib import Path
 
-from engine.capture.oni.reader import OniReader
+from engine.capture import OniReader
 from engine.core.errors import RecordingError
 from service.core.errors import BoundError, NotFoundError
 from service.core.schemas.recordings import Recording, RecordingPage

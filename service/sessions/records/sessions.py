@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from sqlalchemy.orm import Session
 
 from engine.calibration.camera_calibration import Calibration
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.errors import ModelMismatchError
 from engine.core.head_direction import HeadDirection
 from service.core.errors import SessionActiveError

@@ -16,8 +16,7 @@ from typing import NoReturn
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from engine.control.journal.format import Entry, JournalFormatError, JournalHeader, RecoveredJournal, read_journal
-from engine.control.journal.journal import boot_id
+from engine.control import Entry, JournalFormatError, JournalHeader, RecoveredJournal, boot_id, read_journal
 from engine.core.errors import TidegateError
 from service.engine_host.orphaned_processes import end_engines_holding
 from service.sessions.records.audit_events import transition_event

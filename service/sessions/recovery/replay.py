@@ -8,8 +8,8 @@ from typing import Any
 
 from sqlalchemy import select
 
-from engine.capture.raw_recorder import part_of
-from engine.control.outputs import FrameRecord
+from engine.capture import part_of
+from engine.control import FrameRecord
 from engine.core.errors import TidegateError
 from engine.offline.replay.comparison import PROCESSOR, Comparison, comparison_of, this_machine
 from engine.offline.replay.header import METHOD, RAW, TapeHeader, read_head, this_software

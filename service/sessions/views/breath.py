@@ -1,8 +1,8 @@
 """Breath and breath hold for the live stream and a session's detail; unknown values are null."""
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.breath import Breath, SignalChoice
-from engine.gating.windows import BreathHoldWindow, ConditionState, HoldKind, HoldStage
+from engine.gating import BreathHoldWindow, ConditionState, HoldKind, HoldStage
 from service.core.finite import rounded_or_none
 from service.core.schemas.live_messages import LiveBreath, LiveBreathEvent, LiveBreathHold
 

@@ -1,8 +1,8 @@
 """What the gate rests on: each check of the measurement, for people."""
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.clock import US_PER_S
-from engine.gating.supervision.checks import SEES_TOO_LITTLE, Check, CheckState
+from engine.gating import SEES_TOO_LITTLE, Check, CheckState
 from service.core.schemas.live_messages import LiveCheck
 
 WORKS = {

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from engine.beam.beam_on import BeamOnState
+from engine.beam import BeamOnState
 from engine.calibration.camera_calibration import Calibration
-from engine.capture.source import SourceDescription
-from engine.control.outputs import LiveView, LoopStatus
+from engine.capture import SourceDescription
+from engine.control import LiveView, LoopStatus
 from engine.core.camera_view import CameraView
 from engine.core.frames import Measurement, Motion, PhaseLag
 from engine.core.patient_match import PatientMatch

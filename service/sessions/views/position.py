@@ -1,7 +1,6 @@
 """The patient's position against the plan's, for people and programs."""
 
-from engine.control.outputs import LiveView
-from engine.control.position_state import PositionState
+from engine.control import LiveView, PositionState
 from engine.core.position_check import Degree, PositionCheck, PositionTolerance
 from service.core.finite import rounded_or_none
 from service.core.schemas.live_messages import LiveDegree, LivePositionCheck

@@ -1,6 +1,6 @@
 """Proposed references, and the distance of the one in use from the fraction's first, for people and programs."""
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import PositionTolerance
 from engine.core.reference_distance import ReferenceDistance

@@ -1,6 +1,6 @@
 """The newest frame's surface as a mesh, computed in the service on request, never in the engine."""
 
-from engine.control.outputs import LiveView
+from engine.control import LiveView
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS
 from engine.motion.stages.surface import surface_mesh
 from service.core.errors import MeshMissingError

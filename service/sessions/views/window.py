@@ -3,7 +3,7 @@
 from engine.core.breath import SignalChoice
 from engine.core.frames import Measurement
 from engine.core.signals import seen_share_of
-from engine.gating.windows import (
+from engine.gating import (
     AmplitudeWindow,
     BreathHoldWindow,
     Condition,

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from engine.control.journal.journal import JournalError, TransitionJournal
+from engine.control import JournalError, TransitionJournal
 from engine.core.clock import Clock, MonotonicClock
 
 logger = logging.getLogger(__name__)

@@ -4,7 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from engine.control.outputs import FrameRecord
+from engine.control import FrameRecord
 from service.storage.samples.figures import Figures
 from service.storage.samples.layout import SampleHead
 from service.storage.samples.store import SampleStore, Settlement

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from engine.control.outputs import FrameRecord
+from engine.control import FrameRecord
 from engine.core.breath import Breath
 from engine.core.frames import Motion
 from service.core.finite import finite_or_none

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from engine.control.outputs import FrameRecord
+from engine.control import FrameRecord
 from engine.core.files import put_in_place, sync_folder
 from service.storage.samples.layout import SampleHead
 from service.storage.samples.memory import WrittenBytes

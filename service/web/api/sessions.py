@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
-from engine.control.journal.journal import JournalError
+from engine.control import JournalError
 from engine.core.errors import (
     BeamLineError,
     CalibrationError,

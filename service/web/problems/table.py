@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
-from engine.control.journal.journal import JournalError
+from engine.control import JournalError
 from engine.core import errors as engine_errors
 from engine.core.errors import TidegateError
 from service.core import errors
