@@ -12,8 +12,8 @@ to a beam (start, reference, arm, release, acknowledge, correct) is ever sent tw
 the session. No call here turns a beam on; arming lets the gate decide. Starting QA, which permits the beam, is for
 people at the machine, and is not part of this client.
 
-It stands in one file, whatever its length, so that it can be taken along. The part between the marks is made from the
-contract by ``python -m tests.support.documents.client_models --write``.
+One file on purpose: copy it next to your program. The part between the marks is generated from the contract by
+``python -m tests.support.documents.client_models --write``.
 """
 
 import contextlib
@@ -1581,7 +1581,7 @@ class ProblemError(ClientError):
         super().__init__(f"{status} {self.code}: {self.detail or self.title}")
 
     def __reduce__(self) -> tuple[type["ProblemError"], tuple[object, ...]]:
-        """Let it cross to another process."""
+        """Support pickling, for another process."""
         problem = {name: getattr(self, name) for name in ("code", "title", "detail", "field", "value", "bound")}
         headers = {"x-request-id": self.request_id} if self.request_id else {}
         if self.retry_after_s is not None:
@@ -1591,7 +1591,7 @@ class ProblemError(ClientError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """A file that was written whole."""
+    """A completely written file."""
 
     path: Path
     size: int
@@ -1632,7 +1632,7 @@ class SentCall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnsweredCall:
-    """An answer, read whole."""
+    """A complete answer."""
 
     status: int
     headers: Mapping[str, str]
@@ -1684,7 +1684,7 @@ class TidegateClient:
         self._secrets: dict[str, str] = {} if key is None else {"Authorization": f"Bearer {_checked_key(key)}"}
 
     def __repr__(self) -> str:
-        """Say where it leads; never with what key."""
+        """Show the address, never the key."""
         return f"TidegateClient({self._place.origin!r})"
 
     def __enter__(self) -> Self:
@@ -1694,7 +1694,7 @@ class TidegateClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connections that are kept; the client may be used again."""
+        """Close idle connections; the client may be used again."""
         with self._lock:
             kept, self._kept = self._kept, []
         for connection, _ in kept:
@@ -1703,11 +1703,11 @@ class TidegateClient:
     # -- who, and whether
 
     def log_in(self, name: str, password: str) -> "Me":
-        """Log in as a person: for what no machine may do, such as acknowledging a fault."""
+        """Log in as a person: for calls that no key may make, such as acknowledging a fault."""
         return self._send("POST", "/api/v1/login", Me, body={"name": name, "password": password})
 
     def log_out(self) -> None:
-        """End the log-in."""
+        """Log out."""
         self._exchange(SentCall(method="POST", path="/api/v1/logout", body=b"{}", is_repeatable=False))
         self._secrets.pop("Cookie", None)
 
@@ -1717,11 +1717,11 @@ class TidegateClient:
         self._act("/api/v1/me/password", body)
 
     def me(self) -> "Me":
-        """Tell as whom one is known, and what one may."""
+        """Return the authenticated identity and its permissions."""
         return self._read("/api/v1/me", Me)
 
     def readiness(self) -> "Readiness":
-        """Tell whether a session could run, and what is missing."""
+        """Return whether a session could run, and the reasons why not."""
         return self._read("/readyz", Readiness, accepted=frozenset({503}))
 
     def devices(self) -> "DeviceList":
@@ -1741,7 +1741,7 @@ class TidegateClient:
     def upload_calibration(
         self, document: bytes, *, media_type: str = JSON_TYPE, operator: str | None = None
     ) -> "UploadedCalibration":
-        """Keep a camera calibration; the same content again is the same calibration."""
+        """Upload a camera calibration; the same content again returns the same calibration."""
         query = {"operator": operator or self._operator}
         return self._make("/api/v1/calibrations", UploadedCalibration, document, media_type=media_type, query=query)
 
@@ -1750,13 +1750,13 @@ class TidegateClient:
         return self._pages("/api/v1/calibrations", CalibrationPage, {"camera": camera})
 
     def read_calibration(self, calibration_id: str) -> "CalibrationDetail":
-        """Read a calibration with its document."""
+        """Return a calibration with its document."""
         return self._read(f"/api/v1/calibrations/{_part(calibration_id)}", CalibrationDetail)
 
     # -- plans
 
     def import_plan(self, dicom: bytes, *, operator: str | None = None, idempotency_key: str | None = None) -> "Plan":
-        """Have an RT Plan or RT Ion Plan read and kept; the same plan again is the same plan."""
+        """Import an RT Plan or RT Ion Plan; the same plan again returns the same plan."""
         query = {"operator": operator or self._operator}
         media_type = "application/dicom"
         return self._make(
@@ -1768,7 +1768,7 @@ class TidegateClient:
         return self._pages("/api/v1/plans", PlanPage, {"patient_reference": patient_reference, "label": label})
 
     def read_plan(self, plan_id: str) -> "Plan":
-        """Read a plan: fractions, beams, and what it prescribes about breathing."""
+        """Return a plan: fractions, beams, prescribed breathing technique."""
         return self._read(f"/api/v1/plans/{_part(plan_id)}", Plan)
 
     def prepare_session(
@@ -1781,7 +1781,7 @@ class TidegateClient:
     # -- sessions
 
     def create_session(self, request: "SessionRequest", *, idempotency_key: str | None = None) -> "Session":
-        """Prepare a session. Give a key of your own if you may have to ask again after your program has died."""
+        """Prepare a session. Pass an idempotency key if your program may have to repeat the call after a restart."""
         return self._make("/api/v1/sessions", Session, self._for_somebody(request), idempotency_key=idempotency_key)
 
     def sessions(
@@ -1798,20 +1798,20 @@ class TidegateClient:
         return self._pages("/api/v1/sessions", SessionPage, {**query, "since": since, "until": until})
 
     def read_session(self, session_id: str) -> "SessionDetail":
-        """Read a session with its gate, its learning and its figures."""
+        """Return a session with gate, training and figures."""
         return self._read(_session(session_id), SessionDetail)
 
     def read_arming(self, session_id: str) -> "ArmingSummary":
-        """Read what the gate would be armed with, and what is missing."""
+        """Return the parameters that an arming would take, and what is missing."""
         return self._read(f"{_session(session_id)}/arming", ArmingSummary)
 
     def read_session_tagged(self, session_id: str) -> TaggedSession:
-        """Read a session with its version."""
+        """Return a session and its ETag."""
         answer = self._exchange(SentCall(method="GET", path=_session(session_id), is_repeatable=True))
         return TaggedSession(session=_parsed(answer, SessionDetail), etag=answer.headers.get("etag"))
 
     def start(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "Session":
-        """Open the camera and begin to learn, disarmed. Never repeated."""
+        """Open the camera and start the training, disarmed. Never repeated."""
         return self._do(session_id, "start", Session, operator, if_match)
 
     def set_reference(
@@ -1825,7 +1825,7 @@ class TidegateClient:
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Make the position at the last ends of exhale the zero of motion; disarms. Never repeated.
+        """Set the reference to the mean of the last ends of exhale; disarms. Never repeated.
 
         For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
         ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale,
@@ -1859,7 +1859,7 @@ class TidegateClient:
     def countersign(
         self, session_id: str, state: str, *, operator: str | None = None, if_match: str | None = None
     ) -> "SessionDetail":
-        """Countersign, as a second person, what ``state`` of `arming` names. For people; no key may. Never repeated."""
+        """Countersign the ``state`` of `arming` as a second person; refused to keys. Never repeated."""
         return self._do(session_id, "countersign", SessionDetail, operator, if_match, {"state": state})
 
     def arm(
@@ -1872,7 +1872,7 @@ class TidegateClient:
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Let the gate decide from now on. Never repeated: where no answer came, read the session.
+        """Arm the gate. Never repeated: without an answer, read the session.
 
         ``head_direction`` is the side of the picture at which the operator sees the patient's head; required unless
         the window is on the whole region or its volume only. ``state`` is that of the arming summary that the operator
@@ -1883,7 +1883,7 @@ class TidegateClient:
         return self._do(session_id, "arm", SessionDetail, operator, if_match, arguments)
 
     def release(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":
-        """Let go of a hold by hand; the gate decides again after a full dwell. Never repeated."""
+        """Release a hold by hand; the gate decides again after a full dwell. Never repeated."""
         return self._do(session_id, "release", SessionDetail, operator, if_match)
 
     def acknowledge(
@@ -1894,7 +1894,7 @@ class TidegateClient:
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Say that a person has seen the fault and the alarms: for a person who logged in; no key may. Never repeated.
+        """Acknowledge the fault and the alarms as the logged-in person; refused to keys. Never repeated.
 
         ``alarms`` are the numbers of those that the person has seen; all that are active, if left out.
         """
@@ -1941,15 +1941,15 @@ class TidegateClient:
         self._act(f"{_session(session_id)}/presence", self._for_whom(operator))
 
     def hold(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
-        """Hold the beam until somebody releases it. Repeated until an answer comes."""
+        """Hold the beam until a release. Repeated until an answer comes."""
         return self._take_away(session_id, "hold", SessionDetail, operator)
 
     def disarm(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
-        """Hold the beam until somebody arms again. Repeated until an answer comes."""
+        """Disarm: hold the beam until the gate is armed again. Repeated until an answer comes."""
         return self._take_away(session_id, "disarm", SessionDetail, operator)
 
     def stop(self, session_id: str, *, operator: str | None = None) -> "Session":
-        """Hold the beam and close the session. Repeated until an answer comes; a session that is over stays so."""
+        """Hold the beam and close the session. Repeated until an answer comes; a closed session stays closed."""
         try:
             return self._take_away(session_id, "stop", Session, operator)
         except ProblemError as problem:
@@ -1967,20 +1967,20 @@ class TidegateClient:
     # -- motion models
 
     def session_models(self, session_id: str) -> Iterator["Model"]:
-        """List what was learned in a session, newest first."""
+        """List the models of a session, newest first."""
         return self._pages(f"{_session(session_id)}/models", ModelPage)
 
     def read_model(self, model_id: str) -> "Model":
-        """Read what a model was learned from, and what it is worth."""
+        """Return a model's training data and quality figures."""
         return self._read(f"/api/v1/models/{_part(model_id)}", Model)
 
     def retrain(self, session_id: str, *, keeps_reference: bool = True, operator: str | None = None) -> "SessionDetail":
-        """Learn a new model in the background. Never repeated."""
+        """Train a new model in the background. Never repeated."""
         arguments = {"keeps_reference": keeps_reference}
         return self._do(session_id, "models/retrain", SessionDetail, operator, None, arguments)
 
     def apply_model(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
-        """Apply the model that was learned; disarms. Never repeated."""
+        """Switch to the waiting model; disarms. Never repeated."""
         return self._do(session_id, "models/apply", SessionDetail, operator, None)
 
     # -- taking along
@@ -1988,7 +1988,7 @@ class TidegateClient:
     def export_samples(
         self, session_id: str, to: str | Path, *, form: Literal["csv", "arrow", "parquet"] = "csv"
     ) -> Exported:
-        """Write every frame's row to a file: the whole of it, or no file at all."""
+        """Write the sample of every frame to a file, complete or not at all."""
         return self._download(f"{_session(session_id)}/samples", {"format": form}, Path(to))
 
     def audit(
@@ -2006,7 +2006,7 @@ class TidegateClient:
         return self._pages("/api/v1/audit", AuditPage, {**query, "since": since, "until": until})
 
     def verify_audit(self, *, after: int = 0, limit: int = 100_000) -> "AuditVerification":
-        """Have the chain of hashes walked."""
+        """Verify the audit hash chain."""
         return self._read("/api/v1/audit/verify", AuditVerification, {"after": after, "limit": limit})
 
     def export_audit(
@@ -2017,7 +2017,7 @@ class TidegateClient:
         since: str | None = None,
         until: str | None = None,
     ) -> Exported:
-        """Write the audit to a file of JSON lines: the whole of what was asked for, or no file. Times are RFC 3339."""
+        """Write the audit to a file of JSON lines, complete or not at all. Times are RFC 3339."""
         query = {"session_id": session_id, "since": since, "until": until}
         return self._download("/api/v1/audit/export", query, Path(to))
 
@@ -2032,7 +2032,7 @@ class TidegateClient:
         return self._read("/api/v1/qa/latency", CameraLatencyList)
 
     def qa_checks(self) -> "QaCheckList":
-        """List what QA checks, by which bounds."""
+        """List the QA checks with their bounds."""
         return self._read("/api/v1/qa/checks", QaCheckList)
 
     def qa_runs(self, *, kind: str | None = None, verdict: str | None = None) -> Iterator["QaRun"]:
@@ -2040,15 +2040,15 @@ class TidegateClient:
         return self._pages("/api/v1/qa/runs", QaRunPage, {"kind": kind, "verdict": verdict})
 
     def read_qa_run(self, run_id: str) -> "QaRunDetail":
-        """Read a QA run with every check."""
+        """Return a QA run with every check."""
         return self._read(f"/api/v1/qa/runs/{_part(run_id)}", QaRunDetail)
 
     def qa_trend(self, check: str, *, limit: int = 30) -> "QaTrend":
-        """Tell a check over the newest runs."""
+        """Return the trend of a check over the newest runs."""
         return self._read("/api/v1/qa/trend", QaTrend, {"check": check, "limit": limit})
 
     def export_qa_report(self, run_id: str, to: str | Path) -> Exported:
-        """Write a run's report, PDF."""
+        """Write the PDF report of a run to a file."""
         return self._download(f"/api/v1/qa/runs/{_part(run_id)}/report.pdf", {}, Path(to))
 
     # -- live
@@ -2063,7 +2063,7 @@ class TidegateClient:
         silence_s: float = 5.0,
         reconnects: int = 8,
     ) -> Iterator["LiveMessage"]:
-        """Follow what happens, for ever; a stream that breaks is taken up where it was.
+        """Follow the live stream without end; a broken stream is resumed.
 
         The two ask for what was recorded of a session behind a frame (-1: all of it), which comes first. Ends with
         UnreachableError where ``reconnects`` attempts one after another brought nothing. ``silence_s`` is how long
@@ -2112,7 +2112,7 @@ class TidegateClient:
         return _parsed(self._exchange(call), kind)
 
     def _pages(self, path: str, kind: type[Any], query: Query | None = None) -> Iterator[Any]:
-        """Walk a list page by page, each asked for when it is reached."""
+        """Iterate over a list; each page is requested when it is reached."""
         seen: set[str] = set()
         cursor: str | None = None
         while True:
@@ -2122,7 +2122,7 @@ class TidegateClient:
             if cursor is None:
                 return
             if cursor in seen:
-                raise AnswerError(f"{path}: the list leads round in a circle")
+                raise AnswerError(f"{path}: the server returned the same cursor twice")
             seen.add(cursor)
 
     def _make(
@@ -2135,7 +2135,7 @@ class TidegateClient:
         query: Query | None = None,
         idempotency_key: str | None = None,
     ) -> AnswerT:
-        """Create something: once, however often it is asked for with this key."""
+        """Create a resource: once, however often the call is repeated with this key."""
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex, "Content-Type": media_type}
         sent = body if isinstance(body, bytes) else json.dumps(body, allow_nan=False).encode()
         call = SentCall(method="POST", path=path, query=query or {}, body=sent, headers=headers, is_repeatable=True)
@@ -2150,13 +2150,13 @@ class TidegateClient:
         if_match: str | None,
         arguments: Mapping[str, object] | None = None,
     ) -> AnswerT:
-        """Send a call that could lead to a permit: once."""
+        """Send a call that could lead to a permit, once."""
         body = {**self._for_whom(operator), **(arguments or {})}
         headers = {} if if_match is None else {"If-Match": if_match}
         return self._send("POST", f"{_session(session_id)}/{action}", kind, body=body, headers=headers)
 
     def _take_away(self, session_id: str, action: str, kind: type[AnswerT], operator: str | None) -> AnswerT:
-        """Ask for what takes the beam away, until somebody answers."""
+        """Send a call that takes the permit away, until it is answered."""
         path, body = f"{_session(session_id)}/{action}", json.dumps(self._for_whom(operator)).encode()
         timeout_s = None if kind is Session else min(self._timeout_s, HOLD_TIMEOUT_S)
         call = SentCall(method="POST", path=path, body=body, is_repeatable=True, timeout_s=timeout_s)
@@ -2176,7 +2176,7 @@ class TidegateClient:
         return _parsed(self._exchange(call), kind)
 
     def _act(self, path: str, body: Mapping[str, object]) -> None:
-        """Ask for something that is answered with nothing."""
+        """Send a call whose answer has no body."""
         self._exchange(SentCall(method="POST", path=path, body=json.dumps(body).encode(), is_repeatable=False))
 
     def _for_whom(self, operator: str | None) -> dict[str, object]:
@@ -2187,7 +2187,7 @@ class TidegateClient:
         return {**self._for_whom(None), **request}
 
     def _exchange(self, call: SentCall) -> AnsweredCall:
-        """Send a call, and again where that is safe and could help."""
+        """Send a call; repeat it where that is safe and could help."""
         attempts = 0
         while True:
             attempts += 1
@@ -2209,7 +2209,7 @@ class TidegateClient:
             self._sleep(wait_s)
 
     def _once(self, call: SentCall) -> AnsweredCall:
-        """Send a call once; what must not be repeated never goes over a connection that may be closed already."""
+        """Send a call once; one that must not be repeated never uses a connection that may be closed already."""
         if call.timeout_s is not None or not call.is_repeatable:
             connection = self._place.connection(call.timeout_s or self._timeout_s)
         else:
@@ -2230,7 +2230,7 @@ class TidegateClient:
 
     @contextlib.contextmanager
     def _opened(self, call: SentCall, *, timeout_s: float | None = None) -> Iterator[http.client.HTTPResponse]:
-        """Open an answer that is read piece by piece, on a connection of its own."""
+        """Open a streamed answer on a dedicated connection."""
         connection = self._place.connection(timeout_s or self._timeout_s)
         try:
             with self._asked(connection, call) as response:
@@ -2253,7 +2253,7 @@ class TidegateClient:
         return connection.getresponse()
 
     def _download(self, path: str, query: Query, to: Path) -> Exported:
-        """Write an answer to a file beside ``to``, and name it so only once it is whole."""
+        """Write an answer to a temporary file beside ``to``; rename it when it is complete."""
         call = SentCall(method="GET", path=path, query=query, is_repeatable=True)
         attempts = 0
         while True:
@@ -2300,7 +2300,7 @@ class TidegateClient:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """Where the service is."""
+    """Address of the service."""
 
     host: str
     port: int
@@ -2368,7 +2368,7 @@ def _events(response: http.client.HTTPResponse) -> Iterator[_Event]:
 def _written(response: http.client.HTTPResponse, to: Path) -> Exported:
     """Write a whole answer under another name, sync it, and give it its name."""
     if response.length is None and not response.chunked:
-        raise AnswerError("the export has neither a length nor chunks: whether it it is whole cannot be checked")
+        raise AnswerError("cannot tell whether the download is complete: no Content-Length, not chunked")
     digest, size = hashlib.sha256(), 0
     number, draft = tempfile.mkstemp(dir=to.parent, prefix=f".{to.name}.")
     try:

@@ -205,7 +205,7 @@ class EngineServer:
         try:
             self._engine.note_service(asked_ns)
             self._bulk.send(Opened())
-            for work, name in ((self._send_updates, "tidegate-teller"), (self._receive_large, "tidegate-orders")):
+            for work, name in ((self._send_updates, "tidegate-updates"), (self._receive_large, "tidegate-orders")):
                 threading.Thread(target=self._run_vital, args=(work,), name=name, daemon=True).start()
             self._until_closed(lambda: self._handle(self._control.receive()))
         finally:

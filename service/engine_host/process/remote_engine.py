@@ -135,9 +135,9 @@ class RemoteEngine:
     def begin(self) -> None:
         """Start the threads that receive updates and send heartbeats and large commands."""
         for work, name in (
-            (self._receive_updates, "tidegate-engine-news"),
-            (self._send_heartbeats, "tidegate-engine-beat"),
-            (self._send_large, "tidegate-engine-orders"),
+            (self._receive_updates, "tidegate-engine-updates"),
+            (self._send_heartbeats, "tidegate-engine-heartbeat"),
+            (self._send_large, "tidegate-engine-commands"),
         ):
             threading.Thread(target=work, name=name, daemon=True).start()
 

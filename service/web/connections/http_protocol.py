@@ -88,7 +88,7 @@ TRANSPORT = "tidegate.transport"
 """Key of the connection in a scope's state; the live stream limits its send buffer."""
 
 # What uvicorn warns of (bad requests, unknown upgrades) is counted here instead, without a line for each.
-_errors = logging.getLogger("uvicorn.error.doors")
+_errors = logging.getLogger("uvicorn.error.connections")
 _errors.setLevel(logging.ERROR)
 
 

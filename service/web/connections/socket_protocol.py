@@ -21,7 +21,7 @@ MOST_WAITING = 32
 MOST_UNREAD_BYTES = 65_536
 """Limit of unread bytes [bytes] beyond which pings are not answered; the stream drops its own messages."""
 
-_errors = logging.getLogger("uvicorn.error.doors")
+_errors = logging.getLogger("uvicorn.error.connections")
 
 
 class BoundedSocket(WebSocketsSansIOProtocol):

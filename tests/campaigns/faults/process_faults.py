@@ -256,17 +256,17 @@ KINDS = (
     ),
     _kind(
         *("beat-dies", "the thread that tells the engine of the service dies"),
-        *(thread_dies("tidegate-engine-beat", in_engine=False), SILENT, NEW_SESSION),
+        *(thread_dies("tidegate-engine-heartbeat", in_engine=False), SILENT, NEW_SESSION),
         bound=SILENCE,
         bound_ms=SILENCE_MS + FRAME_MS,
     ),
     _kind(
         *("news-dies", "the thread that receives from the engine's process dies"),
-        *(thread_dies("tidegate-engine-news", in_engine=False), SILENT | ENDED, NEW_SESSION),
+        *(thread_dies("tidegate-engine-updates", in_engine=False), SILENT | ENDED, NEW_SESSION),
     ),
     _kind(
         *("teller-dies", "the thread that tells the service dies"),
-        *(thread_dies("tidegate-teller"), SILENT | ENDED | reported("recorder_behind", "audit_behind"), NEW_SESSION),
+        *(thread_dies("tidegate-updates"), SILENT | ENDED | reported("recorder_behind", "audit_behind"), NEW_SESSION),
     ),
     _kind(
         *("hearer-dies", "the thread that receives from the service dies"),
