@@ -66,7 +66,7 @@ PLANTED: tuple[Planted, ...] = (
     Planted(
         what="what was looked at is not compared",
         file="engine/control/command_handler.py",
-        old="command.seen != self.arming_state",
+        old="command.seen != self._outlook.state",
         new="command.seen == ''",
         test="tests/engine/control/test_armed_as_seen.py::"
         "test_an_arming_for_something_else_than_was_looked_at_is_refused",
@@ -166,9 +166,9 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="a reference waits without limit for a measured frame",
-        file="engine/motion/learning/learner.py",
-        old="0 <= self._now_us - self._requested_us <= MAX_GAP_US",
-        new="self._requested_us >= 0",
+        file="engine/motion/learning/reference_state.py",
+        old="0 <= self._journal.now_us - self._request.at_us <= MAX_GAP_US",
+        new="self._request.at_us >= 0",
         test="tests/engine/motion/learning/test_reference_history.py::"
         "test_a_reference_that_no_frame_takes_up_for_a_second_is_dropped",
     ),
