@@ -1,17 +1,17 @@
-"""An engine's process that plays recordings as fast as it can.
+"""An engine's process that plays recordings four times as fast as they were taken.
 
 Run: ``python -m tests.support.engine_process.fast_recording_program``.
 """
 
-from engine.capture.recording_source import OniFileSource
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.process.__main__ import main
+from tests.support.capture.hurried_source import HurriedSource
 
 
-def _unpaced(self, path, _player):
-    return OniFileSource(path, clock=self._clock, is_paced=False)
+def _hurried(self, path, _player):
+    return HurriedSource(path, clock=self._clock)
 
 
 if __name__ == "__main__":
-    LocalEngine._player = _unpaced
+    LocalEngine._player = _hurried
     main()

@@ -4,10 +4,10 @@ import time
 
 import pytest
 
-from engine.capture.recording_source import OniFileSource
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings
 from service.engine_host.local_engine import LocalEngine
+from tests.support.capture.hurried_source import HurriedSource
 from tests.support.service.api_calls import act, audit_rows, make_session_body, upload
 
 WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
@@ -26,13 +26,13 @@ FEW_FRAMES = TrainingSettings(min_frames=50, max_frames=120, min_cycles=1, min_s
 
 
 class HurriedEngine(LocalEngine):
-    """Plays recordings as fast as frames can be measured and learns from few of them, for a test's sake."""
+    """Plays recordings four times as fast as they were taken and learns from few frames, for a test's sake."""
 
     def __init__(self, settings):
         super().__init__(settings, measuring=PipelineSettings(training=FEW_FRAMES))
 
     def _player(self, path, _player):
-        return OniFileSource(path, clock=self._clock, is_paced=False)
+        return HurriedSource(path, clock=self._clock)
 
 
 def open_session(client, calibration_text, **changes):
