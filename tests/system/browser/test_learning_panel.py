@@ -48,7 +48,7 @@ def detail(**changes: Any) -> dict[str, Any]:
     return answer | changes
 
 
-def told(progress: TrainingProgress | None) -> dict[str, Any]:
+def learning_message(progress: TrainingProgress | None) -> dict[str, Any]:
     """Return what the learner says as the stream carries it."""
     assert progress is not None
     return {name: getattr(progress, name) for name in ("frames", "cycles", "seconds", "share", "note")}
@@ -70,7 +70,7 @@ def waiting_patient() -> Patient:
 
 def test_a_model_that_waits_is_said_and_applied_by_name(fake: FakeService, tab: Tab):
     """The engine's own words for it, so that neither side changes them alone."""
-    waiting = told(waiting_patient().learner.models.progress)
+    waiting = learning_message(waiting_patient().learner.models.progress)
     assert waiting == WAITING
     fake.mode, fake.sample = "samples", sample(gate="hold")
     page = tab.open("hold")
@@ -205,7 +205,7 @@ def test_nobody_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeS
     today = Patient()
     today.learner.models.resume(model)
     today.see()
-    fake.mode, fake.sample = "samples", DISARMED | {"training": told(today.learner.models.progress)}
+    fake.mode, fake.sample = "samples", DISARMED | {"training": learning_message(today.learner.models.progress)}
     page = tab.open("disarmed")
     expect(page.locator("#learning-title")).to_have_text("Measuring, comparing")
     for action in ("arm", "retrain"):
