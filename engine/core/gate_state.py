@@ -129,7 +129,12 @@ class HoldReason(enum.StrEnum):
     SHORTEST_OFF = _gating("shortest_off", alarm=_A.GATING, guide=_G.FOLLOWED)
     CYCLE_LIMIT = _gating("cycle_limit", alarm=_A.GATING, guide=_G.FOLLOWED)
     # Interlocks: a hold clears by itself after a full dwell, a fault latches until a named person acknowledges it.
-    FRAME_STALE = _fault("frame_stale", "a frame much too old at its decision", "max_silence_ms", alarm=_A.STOPPED)
+    FRAME_STALE = _fault(
+        "frame_stale",
+        "a frame much too old at its decision, or pictures repeated for more than 100 ms in a session",
+        "max_silence_ms",
+        alarm=_A.STOPPED,
+    )
     FRAME_LATE = _hold(
         "frame_late",
         "a frame too old at its decision, delayed against the fastest one, or not known to be fresh for 5 s",
@@ -138,9 +143,7 @@ class HoldReason(enum.StrEnum):
         alarm=_A.SIGHT,
     )
     FRAME_MISSING = _hold("frame_missing", "a frame lost or not received in time", "max_gap_ms", alarm=_A.SIGHT)
-    FRAME_TIMEOUT = _fault(
-        "frame_timeout", "no frame, or no new picture, for too long", "max_silence_ms", alarm=_A.STOPPED
-    )
+    FRAME_TIMEOUT = _fault("frame_timeout", "no frame for too long", "max_silence_ms", alarm=_A.STOPPED)
     FRAME_FROZEN = _hold("frame_frozen", "an old depth or colour picture with a new time", alarm=_A.SIGHT)
     FRAME_RATE_LOW = _hold("frame_rate_low", "too few frames within the last second", "min_fps", alarm=_A.SIGHT)
     CLOCK_BACKWARDS = _fault("clock_backwards", "time or order of frames does not increase", alarm=_A.STOPPED)

@@ -145,7 +145,7 @@ class FrameSupervisor:
         self._baseline = Baseline(limits)
         self._checks = Checks(limits)
         self._exhale_shape = ExhaleShape(limits)
-        self._old_pictures = _OldPictures(limits.max_silence_ms)
+        self._old_pictures = _OldPictures()
         self._order = _DeviceOrder()
 
     def check(
@@ -224,22 +224,34 @@ class _FrameRate:
         return Interruption(HoldReason.FRAME_RATE_LOW, detail)
 
 
-class _OldPictures:
-    """A camera that goes on delivering old pictures is as silent as one that delivers none: a fault."""
+MAX_OLD_MS = 100.0
+"""Most time of repeated pictures in a session, and since the last fault for it (AAPM TG-142: gating within 100 ms)."""
 
-    def __init__(self, max_silence_ms: float) -> None:
-        self._max_silence_ms = max_silence_ms
-        self._last_new_ns: int | None = None
+
+class _OldPictures:
+    """Counts the time of repeated pictures: by as much every later picture may be older than its time says.
+
+    A camera or driver whose queue grows repeats pictures and then delivers new ones late, each with the time of
+    delivery. Nothing in a later picture shows that it has caught up, so the time is never forgotten.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._old_ns = 0
 
     def check(self, measurement: Measurement) -> Interruption | None:
+        last_ns, self._last_ns = self._last_ns, measurement.received_ns
         lost = measurement.lost
-        if self._last_new_ns is None or lost is None or lost.reason is not LostReason.FRAME_FROZEN:
-            self._last_new_ns = measurement.received_ns
+        if last_ns is None or lost is None or lost.reason is not LostReason.FRAME_FROZEN:
+            if self._old_ns > MAX_OLD_MS * NS_PER_MS:
+                self._old_ns = 0  # the fault has latched; a person who acknowledges it looks at the camera
             return None
-        old_ms = (measurement.received_ns - self._last_new_ns) / NS_PER_MS
-        if old_ms <= self._max_silence_ms:
+        self._old_ns += measurement.received_ns - last_ns
+        old_ms = self._old_ns / NS_PER_MS
+        if old_ms <= MAX_OLD_MS:
             return None
-        return Interruption(HoldReason.FRAME_TIMEOUT, f"old pictures for {old_ms:.0f} ms: {lost.detail}")
+        detail = f"pictures were repeated for {old_ms:.0f} ms, {MAX_OLD_MS:g} allowed: later ones may be as old"
+        return Interruption(HoldReason.FRAME_STALE, f"{detail}; {lost.detail}")
 
 
 class _DeviceOrder:

@@ -118,17 +118,24 @@ def test_the_markers_travel_is_bounded_for_windows_on_parts(choice, is_held):
     assert supervised.supervisor.marker_travel_mm == pytest.approx(4.0)
 
 
-def test_old_pictures_for_longer_than_a_silence_may_last_are_a_silence():
-    """Two periods are short enough, three are not; a new picture that is lost for another reason ends them."""
-    supervised = Supervised(max_silence_ms=2.5 * PERIOD_NS / NS_PER_MS)
-    losses = ["new", *["old"] * 4, "hidden", *["old"] * 3, "new"]
-    reason = {"old": LostReason.FRAME_FROZEN, "hidden": LostReason.MARKER_LOST}
-    found = [
-        supervised.show(
-            measured(index) if loss == "new" else unmeasured(measured(index), MeasurementState.LOST, reason[loss])
-        )
-        for index, loss in enumerate(losses)
-    ]
-    is_silent = [[one.reason for one in holds] == [HoldReason.FRAME_TIMEOUT] for holds in found]
-    assert is_silent == [False, False, False, True, True, False, False, False, True, False]
-    assert found[3][0].detail == "old pictures for 100 ms: as the test wants it"
+@pytest.mark.parametrize("new_between", [0, 1, 20, 3000])
+def test_every_repeated_picture_may_make_all_later_ones_older(new_between):
+    """Two repeated pictures of 33.4 ms are within 100 ms, the third is a fault, however far apart they come."""
+    supervised = Supervised()
+    found, index = [], 0
+    for _ in range(8):
+        for _ in range(new_between):
+            assert supervised.show(measured(index)) == ()
+            index += 1
+        found.append(supervised.show(unmeasured(measured(index), MeasurementState.LOST, LostReason.FRAME_FROZEN)))
+        index += 1
+    first = 3 if new_between == 0 else 2  # the step before a session's first frame is not known
+    assert [[one.reason for one in holds] for holds in found[: first + 1]] == [[]] * first + [[HoldReason.FRAME_STALE]]
+    assert "100 ms" in found[first][0].detail
+    assert sum(map(len, found)) == (5 if new_between == 0 else 2), "a new picture after the fault begins the count anew"
+
+
+def test_frames_that_are_lost_for_another_reason_make_no_later_picture_older():
+    supervised = Supervised()
+    lost = [unmeasured(measured(index), MeasurementState.LOST, LostReason.MARKER_LOST) for index in range(30)]
+    assert [supervised.show(one) for one in lost] == [()] * 30
