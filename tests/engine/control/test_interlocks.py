@@ -56,7 +56,7 @@ def test_a_picture_that_stays_frozen_faults_and_still_does_when_it_is_acknowledg
     assert seen_of(records[ON + 3 :]) == {(GateState.FAULT, HoldReason.FRAME_STALE, False)}
     assert bench.answers[-1].exception(timeout=0) is None
     reported = [(change.to_state, change.reason) for change in bench.transitions()]
-    assert reported.count((GateState.FAULT, HoldReason.FRAME_STALE)) == 1  # it never left: no one was reported otherwise
+    assert reported.count((GateState.FAULT, HoldReason.FRAME_STALE)) == 1
 
 
 def test_pictures_that_are_repeated_now_and_then_fault_before_they_can_be_100_ms_old():

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from engine.core.breath import Breath, GateSignal, SignalChoice
-from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.clock import NS_PER_S
 from engine.core.frames import BodyPosition, LostReason, MeasurementState
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.supervision.patient_shift import CORNERS, NODES
 from engine.gating.supervision.supervisor import FrameSupervisor
 from tests.support.control.loop_bench import ScriptedSource
-from tests.support.gating.streams import LIMITS, PERIOD_NS, START_NS, measured, motion_of, unmeasured
+from tests.support.gating.streams import LIMITS, START_NS, measured, motion_of, unmeasured
 
 from engine.core.clock import ManualClock  # isort: skip
 
