@@ -54,7 +54,7 @@ tests:
 	@rm -rf build/tests; failed=; \
 	part() { echo "-- $$1"; $(BIN)/pytest -q --part $$* --junitxml build/tests/$$1.xml --durations=15 || failed+=" $$1"; }; \
 	part computing -n 3 --dist loadfile --no-loadscope-reorder; part waiting -n 2 --dist loadfile --no-loadscope-reorder; part alone; \
-	$(BIN)/python -m tests.support.documents.traceability --ran build/tests/*.xml || failed+=" named-in-safety.md"; \
+	$(BIN)/python -m tests.support.documents.hazards build/tests/*.xml || failed+=" named-in-safety.md"; \
 	[ ! "$$failed" ] || { echo "FAILED:$$failed"; exit 1; }
 
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
@@ -88,7 +88,7 @@ planted: $(STAMP)  ## break each mechanism of docs/2-clinical/safety.md once: th
 	nice -n 10 $(BIN)/python -m tests.campaigns.planted.planted
 documents: $(STAMP)  ## write every part of the documents, of the client and of openapi/ that the code makes
 	@$(BIN)/tidegate openapi --out openapi
-	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety traceability client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
+	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
 
 lint: $(STAMP)  ## ruff, rules and format
 	$(BIN)/ruff check .

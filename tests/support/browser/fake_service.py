@@ -663,7 +663,7 @@ class ServerThread:
     """A uvicorn server on a free loopback port, in a thread of its own."""
 
     def __init__(self, app: ASGIApp) -> None:
-        self._socket = socket.socket()
+        self._socket = socket.socket(proto=socket.IPPROTO_TCP)
         self._socket.bind(("127.0.0.1", 0))
         self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
         config = uvicorn.Config(

@@ -85,7 +85,7 @@ class Tab:
 
     def await_that(self, is_so: Callable[[], object], detail: str = "that did not happen in time") -> None:
         """Wait while the tab goes on."""
-        eventually(lambda: is_so() or self.page.wait_for_timeout(10), detail=lambda: detail)
+        eventually(lambda: is_so() or self.page.wait_for_timeout(3), detail=lambda: detail)
 
     def is_answered(self) -> None:
         """Wait until no call of the tab is under way."""
