@@ -104,12 +104,14 @@ def terminal_table(table: Iterable[Row]) -> Table:
 
 
 def markdown(table: Iterable[Row]) -> str:
-    """Write the table as Markdown; what is wrong is bold."""
-    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    """Write the table as Markdown, in short; what is wrong is counted and bold."""
+    head = ("kind", "what", "n", "median ms", "worst", "bound", "reason", "recovers")
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in table:
-        cells = list(row.cells())
-        for place, is_wrong in ((2, row.missing), (3, row.unsafe), (4, row.others)):
-            cells[place] = f"**{cells[place]}**" if is_wrong else cells[place]
+        kind, what, count, unsafe, others, median, _, worst, bound, reason, recovers, *_ = row.cells()
+        if row.is_red:
+            count = f"**{count}: {unsafe} unsafe, {others} other**"
+        cells = (kind, what, count, median, worst, bound, reason, recovers)
         lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 

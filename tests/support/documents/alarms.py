@@ -5,7 +5,7 @@ With ``--write`` it puts them into the document instead.
 
 from functools import partial
 
-from service.core.alarm_table import ALARM_RULES, NOT_ALARMS, AlarmPriority, AlarmRule
+from service.core.alarm_table import ALARM_RULES, NOT_ALARMS, AlarmPriority
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
 
@@ -13,18 +13,20 @@ DOCUMENT = ROOT / "docs" / "2-clinical" / "alarms.md"
 
 
 def alarm_table() -> str:
-    """One row an alarm: priority, code, text, when it begins, whether it latches, what clears it."""
-    head = ["| priority | code | shown as | alarm while | begins after | latches | cleared by |", "|---" * 7 + "|"]
-    return "\n".join(head + [_row(rule) for rule in ALARM_RULES])
-
-
-def reason_table() -> str:
-    """One row a reason for a priority, with the codes that have it."""
-    codes: dict[tuple[AlarmPriority, str], list[str]] = {}
+    """One row for alarms of the same priority and reason for it, that begin and end alike."""
+    codes: dict[tuple[AlarmPriority, str, str, str], list[str]] = {}
     for rule in ALARM_RULES:
-        codes.setdefault((rule.priority, rule.why), []).append(f"`{rule.code}`")
-    head = ["| priority | because | alarms |", "|---|---|---|"]
-    return "\n".join(head + [f"| {priority} | {why} | {', '.join(of)} |" for (priority, why), of in codes.items()])
+        begins = f"after {rule.delay_s:g} s" if rule.delay_s else "at once"
+        key = (rule.priority, rule.why, f"{rule.scope}, {begins}", rule.ends)
+        codes.setdefault(key, []).append(f"`{rule.code}`")
+    head = ["| priority | alarms | because | begins | ends with |", "|---" * 5 + "|"]
+    return "\n".join(
+        head
+        + [
+            f"| {priority} | {', '.join(of)} | {why} | {begins} | {ends} |"
+            for (priority, why, begins, ends), of in codes.items()
+        ]
+    )
 
 
 def none_table() -> str:
@@ -36,13 +38,7 @@ def none_table() -> str:
     return "\n".join(head + [f"| {', '.join(of)} | {why} |" for why, of in codes.items()])
 
 
-def _row(rule: AlarmRule) -> str:
-    delay = f"{rule.delay_s:g} s" if rule.delay_s else "at once"
-    latches = "yes" if rule.latches else "no"
-    return f"| {rule.priority} | `{rule.code}` | {rule.text} | {rule.scope} | {delay} | {latches} | {rule.ends} |"
-
-
-MADE = {"alarms": alarm_table, "reasons": reason_table, "none": none_table}
+MADE = {"alarms": alarm_table, "none": none_table}
 """Every part of the document that the code makes, by its name there."""
 main = partial(print_or_write, DOCUMENT, MADE)
 
