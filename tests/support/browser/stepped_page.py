@@ -58,6 +58,13 @@ class SteppedPage:
         for _ in range(0, milliseconds, self.step_ms):
             self._step()
 
+    def leap(self, milliseconds: int) -> None:
+        """Let this time pass at once, without a message meanwhile: what the page shows is old then."""
+        self._exchange()
+        self.page.clock.fast_forward(milliseconds)
+        self._now_s += milliseconds / 1000
+        self._exchange()
+
     def advance_until(self, is_so: Callable[[], object], within_ms: int = 10_000) -> None:
         """Let time pass until that is so; fail after this time of the page's clock."""
         if is_so():

@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.support.browser.fake_service import NOTHING_MEASURED, FakeService, motion_at, sample
+from tests.support.browser.node import in_node
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
@@ -75,8 +76,8 @@ def at_reference(number: int | None) -> dict[str, Any]:
     return {"position_check": check}
 
 
-def judged(page: Page, messages: list[dict[str, Any]]) -> dict[str, Any]:
-    return page.evaluate(SAMPLES, messages)
+def judged(messages: list[dict[str, Any]]) -> dict[str, Any]:
+    return in_node(SAMPLES, messages)
 
 
 @pytest.fixture
@@ -113,25 +114,23 @@ def test_no_line_crosses_a_gap_or_a_new_zero(fake: FakeService, tab: Tab, count:
     assert whole["atHalf"] > 0, "without a gap the line is drawn, or nothing was proved"
 
 
-def test_a_new_reference_cuts_the_curve_is_marked_and_ends_what_is_judged(fake: FakeService, tab: Tab):
-    page = tab.open("idle")
+def test_a_new_reference_cuts_the_curve_is_marked_and_ends_what_is_judged():
     first = [message(i / 30, **at_reference(None)) for i in range(30)]
     second = [message(1 + i / 30, **at_reference(1)) for i in range(15)]
-    found = judged(page, [*first, *second])
+    found = judged([*first, *second])
     assert [i for i, joined in enumerate(found["joined"]) if not joined] == [0, 30]
     assert found["steps"] == [{"t": 1, "text": "new reference"}]
     assert found["judged"] == 15, "another window is predicted from samples against the present zero only"
-    removed = judged(page, [*second, message(2, **at_reference(None))])
+    removed = judged([*second, message(2, **at_reference(None))])
     assert removed["steps"] == [{"t": 2, "text": "no reference"}]
 
 
-def test_what_is_missing_and_why_the_beam_was_held_is_known_by_time(fake: FakeService, tab: Tab):
-    page = tab.open("idle")
+def test_what_is_missing_and_why_the_beam_was_held_is_known_by_time():
     lost = NOTHING_MEASURED | {"gate": "hold", "hold_reason": "marker_lost"}
     messages = [message(i / 30) for i in range(30)] + [message(1 + i / 30, **lost) for i in range(15)]
     fault = {"gate": "fault", "hold_reason": "source_lost"}
     messages += [message(3 + i / 30, **fault) for i in range(6)]
-    found = judged(page, messages)
+    found = judged(messages)
     assert found["gaps"] == [[pytest.approx(29 / 30, abs=1e-3), 3], [pytest.approx(3 + 5 / 30, abs=1e-3), 100]]
     assert [(one["text"], one["gate"]) for one in found["holds"]] == [("marker lost", "hold"), ("source lost", "fault")]
     assert [one["gate"] for one in found["states"]] == ["hold", "fault"]
@@ -139,11 +138,10 @@ def test_what_is_missing_and_why_the_beam_was_held_is_known_by_time(fake: FakeSe
     assert found["nearest"] == pytest.approx(0.533, abs=0.04)
 
 
-def test_of_a_long_session_the_last_minutes_are_kept(fake: FakeService, tab: Tab):
-    page = tab.open("idle")
+def test_of_a_long_session_the_last_minutes_are_kept():
     many = "Array.from({ length: 7000 }, (_, i) => ({ ...one, timestamp_us: i * 1e5 }))"
     script = f"async (one) => ({SAMPLES})({many})"
-    found = page.evaluate(script, message(0.0))
+    found = in_node(script, message(0.0))
     assert 6_000 <= found["count"] <= 6_501
 
 
@@ -247,14 +245,16 @@ def test_the_reference_is_named_on_the_trace_as_confirmed_and_not_after_another_
     assert not [text for text in texts if text.startswith("end of exhale")]
 
 
-def test_it_does_not_move_beyond_the_oldest_sample(fake: FakeService, tab: Tab):
-    page = tab.open("idle")
-    moved = page.evaluate("""async () => {
+def test_it_does_not_move_beyond_the_oldest_sample():
+    moved = in_node(
+        """async () => {
       const { TraceView } = await import('/js/panels/trace_view.js');
       const view = new TraceView();
       for (let i = 0; i < 9; i += 1) view.move(-0.25, 5, 100, 0);
       return view.range(100);
-    }""")
+    }""",
+        None,
+    )
     assert moved == [5, 35]
 
 
@@ -263,7 +263,7 @@ def test_it_is_live_again_after_a_minute(stepped: SteppedPage):
     stepped.advance(20_000)
     page.focus(FRAME)
     go_back(page)
-    stepped.advance(58_000)
+    stepped.leap(58_000)
     expect(page.locator(FRAME)).to_have_attribute("data-live", "no")
     stepped.advance(3_000)
     expect(page.locator(FRAME)).to_have_attribute("data-live", "yes")

@@ -9,6 +9,7 @@ from playwright.sync_api import Page, expect
 from engine.gating.windows import WindowInput, amplitude_window, initial_states
 from service.core.schemas.windows import Window
 from tests.support.browser.fake_service import PROPOSAL, FakeService, breath_hold, phase, sample, window
+from tests.support.browser.node import in_node
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 from tests.support.gating.streams import motion_of
@@ -197,16 +198,15 @@ def gated(levels: list[float | None], step_s: float, lower: float, upper: float,
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_prediction_is_what_the_gate_s_own_window_does(fake: FakeService, tab: Tab, seed: int):
+def test_the_prediction_is_what_the_gate_s_own_window_does(seed: int):
     chance, step_s, dwell_s = random.Random(seed), 1 / 30, chance_dwell(seed)
     level, levels = 0.0, []
     for _ in range(1_500):
         level += chance.gauss(0.0, 0.35) - 0.03 * level
         levels.append(None if seed == 5 and chance.random() < 0.003 else level)
     on = gated(levels, step_s, -1.0, 1.5, dwell_s)
-    page = tab.open("idle")
     samples = [{"t": i * step_s, "value": value} for i, value in enumerate(levels)]
-    found = page.evaluate(FORECAST, [samples, {"lower": -1.0, "upper": 1.5, "hysteresis": 0.2}, dwell_s])
+    found = in_node(FORECAST, [samples, {"lower": -1.0, "upper": 1.5, "hysteresis": 0.2}, dwell_s])
     starts = sum(now and not before for before, now in pairwise([False, *on]))
     assert round(found["pulsesPerMin"] * found["seconds"] / 60) == starts
     measured = sum(value is not None for value in levels) * step_s
@@ -219,7 +219,7 @@ def chance_dwell(seed: int) -> float:
 
 
 def test_short_pulses_are_marked(fake: FakeService, tab: Tab):
-    fake.is_breathing = True
+    fake.is_breathing, fake.period_s = True, 0.01
     page = opened(fake, tab)
     expect(page.locator("#window-forecast")).to_contain_text("pulses/min")
     page.fill("#window-editor [name=lower]", "50")

@@ -29,7 +29,7 @@ from tests.support.service.tls_fronts import FRONTS, Front, fronted
 from tests.support.stream.stream_server import messages, next_of
 from tests.support.waiting import PATIENCE_S, eventually
 
-pytestmark = [pytest.mark.browser, pytest.mark.alone]
+pytestmark = [pytest.mark.browser, pytest.mark.waiting]
 
 SAMPLES = 45
 OPENINGS = 3
