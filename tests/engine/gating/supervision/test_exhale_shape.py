@@ -14,7 +14,8 @@ from tests.support.gating.streams import LIMITS, measured, motion_of
 LENGTH_MM = 300.0
 BOUND_MM = REDISTRIBUTED_SHARE * LIMITS.max_baseline_drift_mm
 SURFACE_MM = np.zeros((NODE_ROWS, NODE_COLUMNS, 3))
-SURFACE_MM[:, :, 1] = np.linspace(0.0, LENGTH_MM, NODE_ROWS)[:, None]
+SURFACE_MM[:, :, 0] = np.linspace(-150.0, 150.0, NODE_COLUMNS)
+SURFACE_MM[:, :, 1] = 100.0 + np.linspace(0.0, LENGTH_MM, NODE_ROWS)[:, None]
 
 
 class Breathing:
@@ -58,6 +59,7 @@ def test_a_shift_that_is_left_at_the_end_of_exhale_holds_until_it_is_gone_there(
     found = breathing.breath(redistributed_mm=BOUND_MM + 0.01)
     assert found.reason is HoldReason.BASELINE_DRIFTED
     assert found.detail.startswith("at the end of exhale thorax and abdomen are shifted by 0.6 mm")
+    assert "0.6 allowed" in found.detail
     assert breathing.show() == found  # between two ends of exhale it stands
     assert breathing.breath(redistributed_mm=0.95 * BOUND_MM) is not None
     assert breathing.breath(redistributed_mm=0.85 * BOUND_MM) is None

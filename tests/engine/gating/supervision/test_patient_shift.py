@@ -133,7 +133,7 @@ def test_a_camera_that_hangs_at_an_angle_sees_the_same_shift():
     moved = MarkersAtReference(zero_mm @ rotation.T + camera).movement(
         (zero_mm + np.array([3.0, 4.0, -40.0])) @ rotation.T + camera
     )
-    assert moved.shift_mm == pytest.approx(5.0)
+    assert (moved.shift_mm, moved.across_mm, moved.along_mm) == pytest.approx((5.0, 3.0, 4.0))
     assert moved.turn_deg == pytest.approx(0.0, abs=1e-6)
 
 
