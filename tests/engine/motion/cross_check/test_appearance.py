@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.motion.cross_check.appearance import changed_share, chroma_of
+from engine.motion.cross_check.appearance import AROUND, brightness_of, changed_share, chroma_of
 
 MARKERS_PX = np.array([[200.0, 100.0], [440.0, 110.0], [430.0, 380.0], [210.0, 370.0]])
 SKIN, SHEET = (190.0, 140.0, 120.0), (62.0, 112.0, 98.0)
@@ -77,3 +77,24 @@ def test_what_is_dark_now_keeps_the_colour_that_it_had_last():
     assert covered == pytest.approx(0.5, abs=0.08)
     assert changed_share(BEFORE, np.full_like(sheet, np.nan), newest) == covered
     assert changed_share(BEFORE, BEFORE, newest) == 0.0
+
+
+def test_brightness_is_that_of_the_cells_and_of_the_near_surroundings():
+    """The region, the ring around it of a share of its size, and what is farther away are three greys."""
+    left, top, right, bottom = 200, 112, 440, 368
+    markers_px = np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=np.float64)
+    beside, above = AROUND * (right - left), AROUND * (bottom - top)
+    y, x = np.mgrid[0:480, 0:640]
+    color = np.full((480, 640), 10, dtype=np.uint8)
+    color[(y >= top - above) & (y <= bottom + above) & (x >= left - beside) & (x <= right + beside)] = 200
+    inside = (y >= top) & (y <= bottom) & (x >= left) & (x <= right)
+    color[inside] = 40 + (x[inside] - left) // 24 + 10 * ((y[inside] - top) // 64)
+    found = brightness_of(np.repeat(color[:, :, None], 3, axis=2), markers_px)
+    assert found.around == 600.0
+    columns, rows = np.meshgrid((12.0 * np.arange(20) + 5.7) // 24, (7.3 * np.arange(35) + 3.0) // 64)
+    assert np.abs(found.cells / 3.0 - (40 + columns + 10 * rows).ravel()).max() <= 10.0
+    assert np.median(np.abs(found.cells / 3.0 - (40 + columns + 10 * rows).ravel())) == 0.0
+    whole = brightness_of(
+        np.full((480, 640, 3), 90, dtype=np.uint8), np.array([[0, 0], [639, 0], [639, 479], [0, 479]])
+    )
+    assert (set(whole.cells), whole.around) == ({270.0}, 0.0), "nothing lies around a region that fills the picture"

@@ -53,6 +53,7 @@ class Session:
         self.check, self.index = CrossCheck(calibration()), 0
         self.model, self.learned = stored_model(), None
         self.sheet_mm = self.raised_mm = self.camera_mm = 0.0
+        self.inferior_mm = self.left_mm = 0.0
         self.depth, self.has_depth, self.has_room = 1.0, True, True
         self.color = (150, 140, 120)
         self.hidden_corner, self.has_shoulders, self.is_lost_otherwise = False, False, False
@@ -67,6 +68,7 @@ class Session:
         shoulders_mm = max(breath[1] - 15.0, 0.0) * 0.15 * self.has_shoulders
         depth = REST_MM - shoulders_mm - breath[0] * CHEST - breath[1] * BELLY - self.raised_mm - self.camera_mm
         depth -= self.sheet_mm * (COLUMNS >= 25)
+        depth -= self.inferior_mm * (ROWS - 43.5) / 44.0 + self.left_mm * (COLUMNS - 24.5) / 25.0
         valid = np.full(depth.shape, self.has_depth)
         valid[:12, :6] &= not self.hidden_corner
         if self.has_rolling_holes:
@@ -283,6 +285,21 @@ def test_a_patient_who_moved_as_a_whole_is_measured_and_their_height_known(sessi
     assert session.run(40) == [None] * 40
     assert session.check.position.height_mm == pytest.approx(raised_mm, abs=0.6)
     assert abs(session.check.position.roll_deg) < 0.2
+
+
+@pytest.mark.parametrize("edge_mm", [-3.0, 3.0])
+@pytest.mark.parametrize("way", ["inferior_mm", "left_mm"])
+def test_a_patient_who_is_tilted_is_measured_in_degrees_over_the_region_s_size(session, way, edge_mm):
+    """The markers are 850 mm away; the lever is from one edge of the region to the other."""
+    setattr(session, way, edge_mm)
+    session.run(40)
+    across_mm, along_mm, _ = 850.0 * (MARKER_RAYS[2] - MARKER_RAYS[0])
+    lever_mm = along_mm if way == "inferior_mm" else across_mm
+    expected = math.degrees(math.atan(2.0 * edge_mm / lever_mm))
+    found = session.check.position
+    tilt_deg, roll_deg = (expected, 0.0) if way == "inferior_mm" else (0.0, expected)
+    assert found.tilt_deg == pytest.approx(tilt_deg, abs=0.25)
+    assert found.roll_deg == pytest.approx(roll_deg, abs=0.25)
 
 
 def test_a_camera_that_moved_stays_lost_while_couch_and_floor_are_hidden(session):
