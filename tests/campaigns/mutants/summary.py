@@ -1,8 +1,7 @@
-"""Outcomes of the mutants, file by file: `python -m tests.campaigns.mutants.summary` prints them.
+"""Outcomes of the mutants by package: `python -m tests.campaigns.mutants.summary` prints them.
 
 With `--write` it puts them into docs/5-evidence/mutants.md. It reads the files that mutmut left in ``mutants/``
-(`make mutants`). Mutants that survived or timed out are named, so that the page can explain each; the exit code is 1
-when one is not explained there.
+(`make mutants`). Mutants that survived are explained in survivors.md; the exit code is 1 when one is not.
 """
 
 import json
@@ -15,6 +14,7 @@ from tests.support.generated_sections import write_parts
 from tests.support.repository import ROOT
 
 PAGE = ROOT / "docs" / "5-evidence" / "mutants.md"
+EXPLAINED = Path(__file__).with_name("survivors.md")
 LEFT_BEHIND = ROOT / "mutants"
 COLUMNS = ("killed", "caught by types", "timed out", "suspicious", "survived", "not run")
 _OF_EXIT_CODE: dict[int | None, str] = {
@@ -51,11 +51,13 @@ def outcomes(left_behind: Path = LEFT_BEHIND) -> Mapping[str, Mapping[str, str]]
 
 
 def summary(found: Mapping[str, Mapping[str, str]]) -> str:
-    """One row a file, and all of them together."""
-    head = [f"| file | mutants | {' | '.join(COLUMNS)} |", "|---" + "|---:" * (len(COLUMNS) + 1) + "|"]
-    rows = [_row(f"`{file}`", Counter(of_file.values())) for file, of_file in found.items()]
-    together = sum((Counter(of_file.values()) for of_file in found.values()), Counter())
-    return "\n".join([*head, *rows, _row("**all**", together)])
+    """One row a package, and all of them together."""
+    head = [f"| package | mutants | {' | '.join(COLUMNS)} |", "|---" + "|---:" * (len(COLUMNS) + 1) + "|"]
+    counts: dict[str, Counter[str]] = {}
+    for file, of_file in found.items():
+        counts.setdefault("/".join(file.split("/")[:-1][:3]), Counter()).update(of_file.values())
+    together = sum(counts.values(), Counter())
+    return "\n".join([*head, *(_row(f"`{package}`", of) for package, of in counts.items()), _row("**all**", together)])
 
 
 def _row(name: str, counts: Counter[str]) -> str:
@@ -85,9 +87,9 @@ def main(arguments: list[str]) -> int:
     sys.stdout.write(f"{summary(found)}\n")
     if arguments == ["--write"]:
         write_parts(PAGE, {"mutants": lambda: summary(found)})
-    page = PAGE.read_text(encoding="utf-8")
-    unexplained = [place_of(name) for name in survivors(found) if f"`{place_of(name)}`" not in page]
-    sys.stdout.writelines(f"not explained in {PAGE.name}: `{place}`\n" for place in unexplained)
+    explained = EXPLAINED.read_text(encoding="utf-8")
+    unexplained = [place_of(name) for name in survivors(found) if f"`{place_of(name)}`" not in explained]
+    sys.stdout.writelines(f"not explained in {EXPLAINED.name}: `{place}`\n" for place in unexplained)
     return bool(unexplained)
 
 
