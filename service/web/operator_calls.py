@@ -17,7 +17,6 @@ from service.access.request.caller import RequestCaller
 from service.core.conditional import Precondition
 from service.core.permissions import Permission
 from service.core.schemas import sessions
-from service.core.schemas.gate import BaselineCorrectionRequest
 from service.engine_host.roles import CommandName
 from service.sessions.lifecycle.runner import SessionRunner
 from service.web import dependencies
@@ -48,10 +47,6 @@ class OperatorCall:
         with self.services.revisions.only_if(session_id, self.if_match):
             return action(session_id, self.caller.checked_actor(claimed))
 
-    def acknowledge(self, session_id: str, request: sessions.AcknowledgeRequest) -> sessions.SessionDetail:
-        """Acknowledge the latched fault and alarms; raise where the engine refuses or is late."""
-        return self.act(session_id, request.operator, partial(self.services.runner.acknowledge, alarms=request.alarms))
-
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
         """Arm the gate, with the head direction that the operator confirms; a practice ends with that."""
         self.services.coaching.end_practice(session_id)
@@ -69,59 +64,11 @@ class OperatorCall:
         )
         return self.act(session_id, request.operator, arm)
 
-    def set_reference(self, session_id: str, request: sessions.ReferenceRequest) -> sessions.SessionDetail:
-        """Set the reference at the moment that a person confirms."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            return self.services.runner.set_reference(session_id, operator, request, may_exceed=self._may_exceed)
-
-        return self.act(session_id, request.operator, submit)
-
-    def sign_position(self, session_id: str, request: sessions.PositionCheckRequest) -> sessions.SessionDetail:
-        """Sign the patient's position; keys do not have the permission."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            return self.services.runner.sign_position(session_id, operator, request, may_exceed=self._may_exceed)
-
-        return self.act(session_id, request.operator, submit)
-
-    def countersign(
-        self, session_id: str, request: sessions.CountersignRequest, signer: str | None
-    ) -> sessions.SessionDetail:
-        """Countersign in the name of ``signer``, or of the caller."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            return self.services.runner.countersign(session_id, signer or operator, request.state, page_of=operator)
-
-        return self.act(session_id, request.operator, submit)
-
-    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
-        """Shift the window by a baseline drift."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            named = request.model_copy(update={"operator": operator})
-            return self.services.runner.correct_baseline(session_id, named, may_exceed=self._may_exceed)
-
-        return self.act(session_id, request.operator, submit)
-
-    def set_window(self, session_id: str, request: sessions.WindowRequest) -> sessions.SessionDetail:
-        """Gate by another window."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            return self.services.runner.set_window(session_id, operator, request, may_exceed=self._may_exceed)
-
-        return self.act(session_id, request.operator, submit)
-
     @property
-    def _may_exceed(self) -> bool:
+    def may_exceed(self) -> bool:
         """Whether the caller is a person who may arm: only such a person goes beyond a fraction's budget."""
         identity = self.caller.identity
         return identity.is_person and Permission.GATE_ARM in identity.permissions
-
-    def release(self, session_id: str, claimed: str) -> sessions.SessionDetail:
-        """Release a hold by hand."""
-        release = partial(self.services.runner.release, is_person=self.caller.identity.is_person)
-        return self.act(session_id, claimed, release)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

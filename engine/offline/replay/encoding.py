@@ -7,25 +7,12 @@ writes a float with as many digits as distinguish it from every other.
 import dataclasses
 import enum
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 from engine.capture.source import SourceDescription
+from engine.control.commands import Command
 from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core.breath import BreathEventKind, GateSignal, SignalChoice
-from engine.core.commands import (
-    Acknowledge,
-    ActivateModel,
-    ApplyModel,
-    Arm,
-    CorrectBaseline,
-    Countersign,
-    Disarm,
-    HoldBeam,
-    ReleaseBeam,
-    Retrain,
-    SetReference,
-    SignPosition,
-)
 from engine.core.errors import InvalidValueError, ModelError, RecordingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.head_direction import HeadDirection
@@ -34,7 +21,6 @@ from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.gate import Interruption
 from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import GateLimits
-from engine.gating.window_change import SetWindow
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldKind, Join, JoinedWindow, PhaseWindow, Unit
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.trainer import TrainingSettings
@@ -50,12 +36,8 @@ _INPUTS = (TurnInputs, CommandInputs, FrameInput, DecisionInputs, LineAnswer)
 _CLASSES: dict[str, type] = {
     _TAPE_NAMES.get(known, known.__name__): known
     for known in (
-        *(Acknowledge, ActivateModel, ApplyModel, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain),
+        *get_args(Command),
         *(
-            SetReference,
-            SignPosition,
-            Countersign,
-            SetWindow,
             GateLimits,
             AmplitudeWindow,
             BreathHoldWindow,

@@ -249,18 +249,20 @@ class SessionRunner:
         self._commander.execute(session_id, command, operator, "session.position_check", detail)
         return self._records.detail(session_id)
 
-    def countersign(self, session_id: str, operator: str, state: str, *, page_of: str) -> sessions.SessionDetail:
-        """Countersign the reference and the window; the audit records the window, and who was logged in at the page."""
+    def countersign(self, session_id: str, operator: str, state: str, signer: str | None) -> sessions.SessionDetail:
+        """Countersign the reference and the window in the name of ``signer``, or of the person who is logged in.
+
+        The audit records the window, and who was logged in at the page.
+        """
         running = self._equipment.of(session_id)
         view = None if running is None else running.engine.status.view
         detail: dict[str, object] = {
             "state": state,
-            "page_of": page_of,
+            "page_of": operator,
             "window": None if view is None else window_detail(view),
         }
-        self._commander.execute(
-            session_id, Countersign(operator=operator, seen=state), operator, "session.countersign", detail
-        )
+        command = Countersign(operator=signer or operator, seen=state)
+        self._commander.execute(session_id, command, command.operator, "session.countersign", detail)
         return self._records.detail(session_id)
 
     def release(self, session_id: str, operator: str, *, is_person: bool) -> sessions.SessionDetail:
@@ -302,7 +304,7 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def correct_baseline(
-        self, session_id: str, request: BaselineCorrectionRequest, *, may_exceed: bool
+        self, session_id: str, operator: str, request: BaselineCorrectionRequest, *, may_exceed: bool
     ) -> sessions.SessionDetail:
         """Shift the window by a baseline drift that a person confirms; disarms. ``may_exceed`` as for a reference."""
         action = "session.baseline_correction"
@@ -310,14 +312,12 @@ class SessionRunner:
         before = None if running is None else running.engine.status.view
         detail = correction_detail(request, before)
         if running is not None:
-            with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
+            with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
                 check_correction(request, before, self._settings)
-        command = CorrectBaseline(
-            operator=request.operator, by=request.by, reason=request.reason, may_exceed=may_exceed
-        )
+        command = CorrectBaseline(operator=operator, by=request.by, reason=request.reason, may_exceed=may_exceed)
         with naming_the_field(request):
             self._commander.execute(
-                session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)
+                session_id, command, operator, action, detail, after=lambda now: moved_window(now, before)
             )
         return self._records.detail(session_id)
 

@@ -1,5 +1,6 @@
 """Routes of sessions. No call switches the beam on: arming allows the gate to do so."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
@@ -208,7 +209,8 @@ def set_reference(
 
     Far from the fraction's first reference it needs a reason, and the permission `gate.arm`.
     """
-    return call.set_reference(session_id, request)
+    action = partial(call.services.runner.set_reference, request=request, may_exceed=call.may_exceed)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post("/{session_id}/position-check", name="session.position_check", responses=SIGN)
@@ -219,7 +221,8 @@ def sign_position(
 
     Beyond the tolerance, and where the surface does not determine it, it needs a reason and the permission `gate.arm`.
     """
-    return call.sign_position(session_id, request)
+    action = partial(call.services.runner.sign_position, request=request, may_exceed=call.may_exceed)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post("/{session_id}/countersign", name="session.countersign", responses=COUNTERSIGN)
@@ -238,7 +241,8 @@ def countersign(
     if request.name is not None and request.password is not None:
         attempt = Attempt(name=request.name, password=request.password.get_secret_value(), address=address)
         signer = desk.second_person(attempt, Permission.GATE_REFERENCE)
-    return call.countersign(session_id, request, signer)
+    action = partial(call.services.runner.countersign, state=request.state, signer=signer)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
@@ -249,7 +253,8 @@ def acknowledge_fault(
 
     An acknowledged alarm that does not latch stays active until its cause is gone.
     """
-    return call.acknowledge(session_id, request)
+    action = partial(call.services.runner.acknowledge, alarms=request.alarms)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
@@ -269,7 +274,8 @@ def release_beam(
 
     A person without a hold releases those of all others. Refused to a program without a hold, and where nobody holds.
     """
-    return call.release(session_id, request.operator)
+    action = partial(call.services.runner.release, is_person=call.caller.identity.is_person)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post(
@@ -299,7 +305,8 @@ def correct_baseline(
 
     Far from the fraction's first reference it needs a person, and a reason.
     """
-    return call.correct_baseline(session_id, request)
+    action = partial(call.services.runner.correct_baseline, request=request, may_exceed=call.may_exceed)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post(
@@ -315,7 +322,8 @@ def set_window(
     Signals and kinds of conditions stay those of the session. A baseline correction ends with it. Far beyond the
     fraction's first armed window it needs a person who may arm, and a reason.
     """
-    return call.set_window(session_id, request)
+    action = partial(call.services.runner.set_window, request=request, may_exceed=call.may_exceed)
+    return call.act(session_id, request.operator, action)
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
