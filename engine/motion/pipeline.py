@@ -13,7 +13,6 @@ from engine.core.clock import Clock
 from engine.core.frames import (
     FloatArray,
     Lost,
-    LostReason,
     Markers,
     Measurement,
     MeasurementState,
@@ -26,42 +25,31 @@ from engine.core.motion_model import MotionModel
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.cross_check.cell_surface import BreathingShapes
-from engine.motion.cross_check.cross_check import CrossCheck
-from engine.motion.job_stages import JobStages, refusal, surface_mm
+from engine.motion.followed_motion import FollowedMotion
+from engine.motion.job_stages import JobStages, refusal
 from engine.motion.learning.depth_steps import stored_steps
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.lifecycle import LearningSetup
-from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_history import ReferenceHistory
-from engine.motion.learning.reference_smoothing import RecentFrames
 from engine.motion.learning.tasks import LearningStages, Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.settings import PipelineSettings
-from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.projection import STRIDE_PX, project
-from engine.motion.stages.regions import WIDE
-from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.depth_table import DepthTable
-from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
-from engine.motion.tracking.past_measurement import motion_from
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
 from engine.motion.tracking.repeated_pictures import RepeatedPictures
-from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
+from engine.motion.trust import SurfaceTrust
 
-US_PER_S = 1e6
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
 
 
-class _Explained(NamedTuple):
-    """A frame as the model explains it, and its depth at the nodes and of the regions [mm]."""
-
-    projection: Projection
-    node_depth_mm: FloatArray
-    regions_depth_mm: FloatArray
+_Depths = tuple[FloatArray, FloatArray]
+"""Depth at the nodes and of the regions [mm]."""
 
 
 class LearnedInPass(NamedTuple):
@@ -121,39 +109,29 @@ class Pipeline:
             max_layout_change=settings.max_layout_change,
         )
         self._repeated = RepeatedPictures()
-        self._recent = RecentFrames()
-        self._continuity = SurfaceContinuity()
-        self._marker_layout = MarkerLayout()
-        self._cross_check = CrossCheck(calibration)
+        self._trust = SurfaceTrust(calibration)
+        self._followed = FollowedMotion(settings, self.learner)
         self._coefficients: FloatArray | None = None
         self._kept: tuple[RoiDepth, TrainingFrame] | None = None
         self._projected_model: PreparedModel | None = None
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
-        self._reset_breathing()
-
-    def _reset_breathing(self) -> None:
-        """Reset breathing monitors, phase lags and the last reference."""
-        settings = self._settings
-        self._breaths = BreathTracker(settings.breath_signals)
-        self._last_reference: Reference | None = None
-        self._lags = start_lags(settings.lag_pairs(), len(WIDE) + len(settings.points) + len(settings.named))
 
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         """Apply an operator's confirmed change of a signal's baseline [mm; l for the volume]."""
-        self._breaths.correct(choice, by)
+        self._followed.breaths.correct(choice, by)
 
     def camera_returned(self) -> None:
         """Reset all state after the camera was disconnected, as it may have moved."""
         self._reset_tracking()
-        self._reset_breathing()
-        self._cross_check.restart()
+        self._followed.reset()
+        self._trust.second_estimate.restart()
         self.learner.restart_after_disconnection()
 
     def measure_again(self, earlier: LearnedInPass) -> None:
         """Measure a recording from its first frame with what an earlier pass has learned."""
         learned, self._tracker.table = earlier.learned, earlier.table
         self.learner.use(learned)
-        self._cross_check.use(earlier.shapes)
+        self._trust.second_estimate.use(earlier.shapes)
         if learned.active is not None:
             self._tracker.expect_depth(learned.active.node_mean_mm)
 
@@ -162,7 +140,7 @@ class Pipeline:
         learned = self.learner.learned
         learned = replace(learned, active=self.learner.refits.of_longest(learned.active))
         model = None if learned.active is None else learned.active.model
-        return LearnedInPass(learned, self._tracker.table, (model, self._cross_check.shapes))
+        return LearnedInPass(learned, self._tracker.table, (model, self._trust.second_estimate.shapes))
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.
@@ -182,33 +160,29 @@ class Pipeline:
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
         self.learner.models.depth_steps = stored_steps(self._tracker.depth_steps)
-        marker_rays = self._calibration.color.rays(found.centers_px)
         thin = roi.thinned(STRIDE_PX)
-        points_mm = marker_points_mm(marker_rays, roi)
-        self._cross_check.observe(frame, found, marker_rays, thin)
+        self._trust.observe(frame, found, roi, thin)
         self._find_costal_line(frame, found)
         takes_lost_frames = self.learner.models.takes_lost_frames
         if takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
-        self._recent.add(thin, frame.timestamp_us)
+        self._followed.recent.add(thin, frame.timestamp_us)
         active = self.learner.active
         if active is None:
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
-        explained = self._explain_continuous(active, thin, found, points_mm, frame.timestamp_us)
+        explained = self._explain(active, thin)
         if isinstance(explained, Lost):
             return self._lost(frame, explained, found)
-        outcome = explained.projection
-        self._cross_check.confirm()
+        outcome, depths_mm = explained
+        self._trust.second_estimate.confirm()
         self._coefficients, self._projected_model = outcome.coefficients, active
-        self._tracker.expect_depth(explained.node_depth_mm)
-        motion = self._motion(active, explained, nodes.rays, frame.timestamp_us)
+        self._tracker.expect_depth(depths_mm[0])
+        motion = self._followed.motion(active, outcome, depths_mm, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._keep(roi, frame.timestamp_us, nodes.pixels_px)
-        breaths = self._breaths.follow(motion, frame.timestamp_us)
-        if breaths:
-            self.learner.follow(outcome.coefficients, motion, breaths[0], frame.timestamp_us)
+        breaths = self._followed.breath(motion, outcome, frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
 
     def _find(self, frame: RgbdFrame) -> Markers | Lost:
@@ -243,24 +217,23 @@ class Pipeline:
             markers=markers,
             training=self.learner.models.progress,
             breaths=breaths,
-            position=None if motion is None else self._cross_check.position,
-            evidence=None if motion is None else self._cross_check.evidence,
+            position=None if motion is None else self._trust.second_estimate.position,
+            evidence=None if motion is None else self._trust.second_estimate.evidence,
             queue_empty_ns=frame.queue_empty_ns,
         )
 
     def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
         """Return the measurement of a frame that the model does not explain."""
         self._coefficients = None
-        self._recent.reset()
-        if lost.reason in {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}:
-            self._continuity.interrupt()
+        self._followed.recent.reset()
+        self._trust.interrupt(lost)
         return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
 
     def _reset_tracking(self) -> None:
         """Reset the tracking after a frame without markers."""
         self._tracker.reset()
         self._coefficients = None
-        self._recent.reset()
+        self._followed.recent.reset()
 
     def _without_model(self, frame: RgbdFrame, roi: RoiDepth, found: Markers) -> Measurement:
         """Return the measurement of a frame without a model: training, or lost with too few readings."""
@@ -279,7 +252,7 @@ class Pipeline:
         if not self._tracker.has_layout:
             self._tracker.fix_layout(found)
         if self.learner.models.is_gathering:
-            self._cross_check.gather()
+            self._trust.second_estimate.gather()
             self.learner.models.learn(self._kept_frame(roi, timestamp_us, nodes_px))
 
     def _kept_frame(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> TrainingFrame:
@@ -299,7 +272,7 @@ class Pipeline:
 
     def _present_stages(self) -> LearningStages:
         """Return the stages of a job that starts now."""
-        present = replace(self._stages, marked_split=self.marked_split, gathered=self._cross_check.gathered)
+        present = replace(self._stages, marked_split=self.marked_split, gathered=self._trust.second_estimate.gathered)
         return present.as_stages()
 
     @property
@@ -316,73 +289,13 @@ class Pipeline:
 
     # -- measuring ----------------------------------------------------------------------------------------------
 
-    def _explain(self, active: PreparedModel, roi: RoiDepth) -> Projection | Lost:
+    def _explain(self, active: PreparedModel, roi: RoiDepth) -> tuple[Projection, _Depths] | Lost:
+        """Project a frame, and ask whether its surface can be trusted; return its depths with the projection."""
         before = self._coefficients if self._projected_model is active else None
         best = project(active.basis, roi, before)
-        return coverage_lost(0.0) if best is None else refusal(best, self._settings) or best
-
-    def _explain_continuous(
-        self, active: PreparedModel, roi: RoiDepth, found: Markers, points_mm: FloatArray | None, timestamp_us: int
-    ) -> _Explained | Lost:
-        """Project a frame and check the continuity of its surface."""
-        outcome = self._explain(active, roi)
-        disagreement = self._cross_check.lost(
-            active.model, is_reference_due=self.learner.reference.is_due, learned=active.beside
-        )
+        outcome = coverage_lost(0.0) if best is None else refusal(best, self._settings) or best
+        self._trust.compare(active, is_reference_due=self.learner.reference.is_due)
         if isinstance(outcome, Lost):
             return outcome
-        explained = _Explained(outcome, *active.depths_mm(outcome.coefficients))
-        return (
-            self._layout_lost(points_mm, timestamp_us)
-            or disagreement
-            or self._discontinuity(active, explained, found, timestamp_us)
-            or explained
-        )
-
-    def _layout_lost(self, points_mm: FloatArray | None, timestamp_us: int) -> Lost | None:
-        """Return the loss if a marker is not where it was relative to the others, otherwise None."""
-        self._marker_layout.restart(self.learner.journal.position_generation)
-        return self._marker_layout.lost(points_mm, timestamp_us)
-
-    def _discontinuity(
-        self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int
-    ) -> Lost | None:
-        """Return the loss if the surface is not continuous with the previous one, otherwise None."""
-        self._continuity.restart(self.learner.journal.position_generation)
-        observed = ObservedSurface(
-            depth_mm=explained.node_depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us
-        )
-        detail = self._continuity.rejection(
-            observed, active.node_modes[: active.basis.components], active.model.noise_mm
-        )
-        return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
-
-    def _motion(self, active: PreparedModel, explained: _Explained, rays: FloatArray, timestamp_us: int) -> Motion:
-        outcome, depth_mm = explained.projection, explained.regions_depth_mm
-        surface = surface_mm(rays, explained.node_depth_mm)
-        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
-        is_reference_new = self.learner.reference.is_due
-        last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
-        motion = motion_from(reference, active, outcome, surface, depth_mm, self._lags.lags)
-        levels_from = self.learner.positions.levels_from
-        if levels_from is not None:
-            self.learner.positions.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
-        if (
-            self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
-            and last_reference is not None
-        ):
-            before = motion_from(last_reference, active, outcome, surface, depth_mm)
-            self._breaths.move(before, motion, is_end_exhale=self.learner.reference.is_end_exhale)
-            self.learner.positions.move_levels(before, motion)
-        self._last_reference = reference
-        return motion
-
-    def _reference(self, active: PreparedModel, outcome: Projection, rays: FloatArray) -> Reference:
-        """Return the reference; one at the present position is smoothed over the last frames."""
-
-        def present() -> Reference:
-            smoothed = self._recent.smoothed(active, outcome)
-            smooth_surface = surface_mm(rays, active.node_depth_mm(smoothed.coefficients))
-            return active.reference(smoothed.coefficients, smooth_surface, active.seen_weights.shares(smoothed.seen))
-
-        return self.learner.take_up_reference(active, present)
+        depths_mm = active.depths_mm(outcome.coefficients)
+        return self._trust.lost(active, depths_mm[0], self.learner.journal.position_generation) or (outcome, depths_mm)

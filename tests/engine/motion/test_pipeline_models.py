@@ -126,7 +126,7 @@ def test_a_sheet_laid_while_a_model_takes_over_is_lost(learned, frames):
         depth[200:300, 270:370] -= 5
 
     pipeline, camera = waits_for_a_switch(learned, frames)
-    pipeline._cross_check.lost = lambda *_, **__: None  # what is tested works without it
+    pipeline._trust.second_estimate.lost = lambda *_, **__: None  # what is tested works without it
     switch_while_covered(pipeline, camera)
     for index in range(30):
         outcome = pipeline.measure(camera.stamped(small_scene.frame(camera.index, edit=sheet)))

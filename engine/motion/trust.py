@@ -1,0 +1,71 @@
+"""Whether the surface in the region can be trusted as this patient's skin: three checks beside the motion model."""
+
+from engine.calibration.camera_calibration import Calibration
+from engine.core.frames import (
+    FloatArray,
+    Lost,
+    LostReason,
+    Markers,
+    RgbdFrame,
+    RoiDepth,
+)
+from engine.motion.cross_check.cross_check import CrossCheck
+from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
+from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
+
+
+class SurfaceTrust:
+    """The markers' layout, a second estimate of the surface, and its continuity; owned by one thread.
+
+    The loss that is displayed is the first of these three: a marker elsewhere explains the other two. The second
+    estimate has a life of its own (`second_estimate`): a training learns its shapes, a second pass takes them over.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration = calibration
+        self._layout = MarkerLayout()
+        self.second_estimate = CrossCheck(calibration)
+        self._continuity = SurfaceContinuity()
+        self._timestamp_us = 0
+        self._found: Markers | None = None
+        self._points_mm: FloatArray | None = None
+        self._disagreement: Lost | None = None
+
+    def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth, thin: RoiDepth) -> None:
+        """Take a frame, whether a model explains it or not; ``thin`` is the sampling of ``roi`` that is measured."""
+        rays = self._calibration.color.rays(found.centers_px)
+        self._timestamp_us, self._found = frame.timestamp_us, found
+        self._points_mm = marker_points_mm(rays, roi)
+        self.second_estimate.observe(frame, found, rays, thin)
+
+    def compare(self, active: PreparedModel, *, is_reference_due: bool) -> None:
+        """Compare the frame with the reference by the second estimate, which needs no projection."""
+        self._disagreement = self.second_estimate.lost(
+            active.model, is_reference_due=is_reference_due, learned=active.beside
+        )
+
+    def lost(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
+        """Return why the surface of an explained frame is not trusted, None where it is.
+
+        ``position_generation`` counts the times a person accepted where the patient lies: all begins anew with it.
+        """
+        self._layout.restart(position_generation)
+        lost = self._layout.lost(self._points_mm, self._timestamp_us) or self._disagreement
+        return lost or self._discontinuity(active, node_depth_mm, position_generation)
+
+    def _discontinuity(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
+        if self._found is None:
+            return None
+        self._continuity.restart(position_generation)
+        observed = ObservedSurface(
+            depth_mm=node_depth_mm, markers_px=self._found.centers_px, timestamp_us=self._timestamp_us
+        )
+        modes = active.node_modes[: active.basis.components]
+        detail = self._continuity.rejection(observed, modes, active.model.noise_mm)
+        return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
+
+    def interrupt(self, lost: Lost) -> None:
+        """Take note that the frame was lost: what another surface may have replaced is doubted."""
+        if lost.reason in {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}:
+            self._continuity.interrupt()
