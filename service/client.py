@@ -1092,7 +1092,7 @@ class LiveLatency(TypedDict):
 
 
 class LiveLost(TypedDict):
-    """Reason why this frame could not be measured."""
+    """Reason why this frame could not be measured; while `state` is `measuring`, why the gate does not rest on it."""
 
     detail: str
     reason: str

@@ -178,6 +178,9 @@ class GateController:
     def refuse_without_fresh_signal(self) -> None:
         """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""
         received_ns = self.refuse_without_signal()
+        doubt = None if self._records.newest_measurement is None else self._records.newest_measurement.doubt
+        if doubt is not None:
+            raise CommandRefusedError(doubt.detail)
         age_ms = (self._clock.now_ns() - received_ns) / NS_PER_MS
         if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
             raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")

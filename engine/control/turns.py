@@ -98,15 +98,16 @@ class TurnRunner:
         measurement = self._measurer.measure(frame)
         notices = self._learner.take_notices()
         self._outputs.put_notices(notices)
+        gated = measurement.as_gated
         supervision = self._supervisor.check(
             frame,
-            measurement,
+            gated,
             window=self._limits.current.window,
             model=self._learner.status.model,
             has_reference=self._learner.status.has_reference,
             notices=notices,
         )
-        self._sign_off.follow(measurement, supervision)
+        self._sign_off.follow(gated, supervision)
         unsigned = self._sign_off.interruption()
         self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
 
@@ -117,7 +118,7 @@ class TurnRunner:
         self._follower.resolve_window()
         if not _is_of(measurement, frame):
             events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
-        events.append(measurement)
+        events.append(measurement.as_gated)
         if self._learner.status.model is None:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
         elif not self._learner.status.has_reference:

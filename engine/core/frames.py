@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.breath import Breath
+from engine.core.replacing import replace
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -360,7 +361,8 @@ class Measurement:
     of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
     is watched; none before there is a motion. ``position`` is how the patient has moved as a whole; None where that is
     unknown. ``evidence`` is what the second estimate could compare; None unless measured. ``queue_empty_ns`` is that of
-    the frame.
+    the frame. ``doubt`` is set where the frame is measured, and the motion may be that of the camera or the couch: the
+    gate takes such a frame for a lost one (`as_gated`).
     """
 
     frame_index: int
@@ -377,6 +379,28 @@ class Measurement:
     position: BodyPosition | None = field(default=None, metadata=NO_DIGEST)
     evidence: Evidence | None = field(default=None, metadata=NO_DIGEST)
     queue_empty_ns: int | None = field(default=None, metadata=NO_DIGEST)
+    doubt: Lost | None = field(default=None, metadata=NO_DIGEST)
+
+    @property
+    def as_gated(self) -> "Measurement":
+        """The measurement as the gate and its supervision take it: lost where it is doubted."""
+        if self.doubt is None:
+            return self
+        return replace(
+            self,
+            state=MeasurementState.LOST,
+            motion=None,
+            lost=self.doubt,
+            doubt=None,
+            breaths=(),
+            position=None,
+            evidence=None,
+        )
+
+    @property
+    def reason(self) -> Lost | None:
+        """Why it is lost, or doubted; None where neither."""
+        return self.lost or self.doubt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

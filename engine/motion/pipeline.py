@@ -114,6 +114,7 @@ class Pipeline:
         self._coefficients: FloatArray | None = None
         self._kept: tuple[RoiDepth, TrainingFrame] | None = None
         self._projected_model: PreparedModel | None = None
+        self._is_believed = True
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
 
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
@@ -179,11 +180,14 @@ class Pipeline:
         self._coefficients, self._projected_model = outcome.coefficients, active
         self._tracker.expect_depth(depths_mm[0])
         motion = self._followed.motion(active, outcome, depths_mm, nodes.rays, frame.timestamp_us)
-        if not takes_lost_frames:
-            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
-        self._keep(roi, frame.timestamp_us, nodes.pixels_px)
+        doubt = self._doubt()
+        if doubt is None:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, is_taken=takes_lost_frames)
+            self._keep(roi, frame.timestamp_us, nodes.pixels_px)
         breaths = self._followed.breath(motion, outcome, frame.timestamp_us)
-        return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
+        return self._measurement(
+            frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths, doubt=doubt
+        )
 
     def _find(self, frame: RgbdFrame) -> Markers | Lost:
         """Find the markers in a new picture; an old one changes nothing that is tracked."""
@@ -204,6 +208,7 @@ class Pipeline:
         lost: Lost | None = None,
         markers: Markers | None = None,
         breaths: tuple[Breath, ...] = (),
+        doubt: Lost | None = None,
     ) -> Measurement:
         return Measurement(
             frame_index=frame.index,
@@ -220,6 +225,7 @@ class Pipeline:
             position=None if motion is None else self._trust.second_estimate.position,
             evidence=None if motion is None else self._trust.second_estimate.evidence,
             queue_empty_ns=frame.queue_empty_ns,
+            doubt=doubt,
         )
 
     def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
@@ -228,6 +234,14 @@ class Pipeline:
         self._followed.recent.reset()
         self._trust.interrupt(lost)
         return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
+
+    def _doubt(self) -> Lost | None:
+        """Return why the gate must not rest on a measured frame, which teaches nothing then; None without a reason."""
+        doubt = self._trust.second_estimate.doubt
+        if (doubt is None) is not self._is_believed:
+            self._is_believed = doubt is None
+            self.learner.positions.forget()  # breaths from before and after a movement are not of one position
+        return doubt
 
     def _reset_tracking(self) -> None:
         """Reset the tracking after a frame without markers."""
@@ -244,8 +258,11 @@ class Pipeline:
 
     # -- learning -----------------------------------------------------------------------------------------------
 
-    def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
-        if self._tracker.has_layout and not self.learner.models.is_gathering:
+    def _learn(
+        self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray, *, is_taken: bool = False
+    ) -> None:
+        """Learn from a frame, unless it was taken before."""
+        if is_taken or (self._tracker.has_layout and not self.learner.models.is_gathering):
             return
         if roi.valid.mean() < self._settings.min_valid_share:
             return

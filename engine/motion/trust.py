@@ -48,11 +48,17 @@ class SurfaceTrust:
     def lost(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
         """Return why the surface of an explained frame is not trusted, None where it is.
 
+        Where the camera or the couch has moved too, that is named: it explains a surface that has changed. A movement
+        alone is a doubt (`CrossCheck.doubt`): the surface is still this patient's skin.
+
         ``position_generation`` counts the times a person accepted where the patient lies: all begins anew with it.
         """
         self._layout.restart(position_generation)
-        lost = self._layout.lost(self._points_mm, self._timestamp_us) or self._disagreement
-        return lost or self._discontinuity(active, node_depth_mm, position_generation)
+        elsewhere = self._layout.lost(self._points_mm, self._timestamp_us)
+        if elsewhere is not None:
+            return elsewhere
+        lost = self._disagreement or self._discontinuity(active, node_depth_mm, position_generation)
+        return None if lost is None else self.second_estimate.doubt or lost
 
     def _discontinuity(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
         if self._found is None:

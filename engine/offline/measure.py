@@ -33,6 +33,7 @@ from engine.offline.first_reference import first_frames
 from engine.offline.mesh_files import MeshOptions, MeshSaver
 from engine.offline.offline_gate import OfflineGate
 from engine.offline.result_files import BreathTable, MotionTable, OfflineSummary, Results
+from engine.offline.segments import SegmentSummary
 
 READ_TIMEOUT_S = 5.0
 
@@ -74,12 +75,15 @@ class _Pass:
         Index of the first frame that a live session measures; None if there is none.
     damage
         Why the recording was not read to its end; None if it was.
+    segments
+        Stretches in which patient, couch and camera stay where they are.
     """
 
     results: Results
     meshes: tuple[str, ...]
     live_from: int | None
     damage: str | None
+    segments: tuple[SegmentSummary, ...]
 
 
 def measure_recording(
@@ -218,7 +222,13 @@ def _run_pass(run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_f
             run.on_frame(measurement)
 
         damage = _measure_frames(run.source, pipeline, write)
-    return _Pass(results=results, meshes=tuple(saver.saved), live_from=first_measured, damage=damage)
+    return _Pass(
+        results=results,
+        meshes=tuple(saver.saved),
+        live_from=first_measured,
+        damage=damage,
+        segments=table.segments.summary(),
+    )
 
 
 def _saved(
@@ -240,6 +250,7 @@ def _saved(
         damage=found.damage,
         passes=passes,
         live_from_frame=found.live_from,
+        segments=found.segments,
         **_duty(run.limits, learner),
     )
     summary.save(run.out / "motion_summary.json")

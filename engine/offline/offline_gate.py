@@ -47,6 +47,7 @@ class OfflineGate:
         limits, supervisor = self._limits, self._supervisor
         if limits is None or supervisor is None:
             return self._gate
+        measurement = measurement.as_gated
         now_ns = measurement.timestamp_us * NS_PER_US
         breaths = _breaths_of(measurement, limits)
         event = replace(measurement, received_ns=now_ns, queue_empty_ns=now_ns, breaths=breaths)
@@ -73,7 +74,9 @@ class OfflineGate:
 
     def hold_untrained(self, frame: RgbdFrame, measurement: Measurement) -> Gate:
         """Return the hold of a frame before there was a model; the gate sees it as a live session did."""
-        untrained = replace(measurement, state=MeasurementState.TRAINING, motion=None, lost=None, breaths=())
+        untrained = replace(
+            measurement, state=MeasurementState.TRAINING, motion=None, lost=None, breaths=(), doubt=None
+        )
         gate = self.decide(frame, untrained, LearningStatus(), ())
         return gate if self._limits is None else UNTRAINED
 

@@ -20,6 +20,8 @@ from engine.core.frames import FloatArray, Measurement, MeasurementState, Motion
 from engine.gating.gate import Gate
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.regions import grid_shape
+from engine.offline.segments import COLUMNS as SEGMENT_COLUMNS
+from engine.offline.segments import Segments, SegmentSummary
 
 SUMMARY_SCHEMA = "tidegate.motion-summary/1"
 COLUMNS = (
@@ -32,6 +34,7 @@ COLUMNS = (
     "volume_l",
     "gate",
     "hold_reason",
+    *SEGMENT_COLUMNS,
 )
 BREATH_COLUMNS = (
     "frame_index",
@@ -107,6 +110,8 @@ class OfflineSummary:
         Share of the learned breaths inside the gating window, 0 to 100, as a session predicts it; None without one.
     duty_refusal
         Why a session would refuse to arm with this window; None if it would not.
+    segments
+        Stretches in which patient, couch and camera stay where they are.
     """
 
     frames: int
@@ -130,6 +135,7 @@ class OfflineSummary:
     live_from_frame: int | None = None
     predicted_duty_percent: float | None = None
     duty_refusal: str | None = None
+    segments: tuple[SegmentSummary, ...] = ()
 
     def save(self, path: Path) -> None:
         """Write the summary as JSON, atomically; the same values give the same bytes."""
@@ -147,6 +153,7 @@ class MotionTable:
         named = [f"{region.name}_mm" for region in settings.named]
         self._writer.writerow([*COLUMNS, *points, *named])
         self._nothing = [""] * (len(points) + len(named))
+        self.segments = Segments()
 
     def write(self, measurement: Measurement, gate: Gate) -> None:
         """Write a frame's row."""
@@ -159,6 +166,7 @@ class MotionTable:
                 *([""] * 4 if motion is None else _wide(motion)),
                 gate.state.value,
                 "" if gate.reason is None else gate.reason.value,
+                *self.segments.follow(measurement),
                 *(self._nothing if motion is None else _texts([*motion.points_mm, *motion.named_mm])),
             ]
         )

@@ -31,13 +31,14 @@ CORNERS = (0, NODE_COLUMNS - 1, NODES - 1, NODES - NODE_COLUMNS)
 class Movement(NamedTuple):
     """Shift along the couch [mm]; the larger of the rotations on the couch and about the body's long axis [deg].
 
-    ``across_mm`` and ``along_mm`` are the shift across and along the body.
+    ``across_mm`` and ``along_mm`` are the shift across and along the body, ``on_couch_deg`` the rotation on the couch.
     """
 
     shift_mm: float
     turn_deg: float
     across_mm: float = 0.0
     along_mm: float = 0.0
+    on_couch_deg: float = 0.0
 
 
 class _Span(NamedTuple):
@@ -193,7 +194,9 @@ class MarkersAtReference:
         width_mm = sum(before[one][0] for one in left) - sum(before[one][0] for one in right)
         turns_rad = (math.atan2(cross, dot), math.atan2(left_over_right_mm, width_mm))
         turn_deg = max(abs(math.degrees(turn)) for turn in turns_rad)
-        return Movement(math.hypot(across_mm, along_mm), turn_deg, across_mm, along_mm)
+        return Movement(
+            math.hypot(across_mm, along_mm), turn_deg, across_mm, along_mm, on_couch_deg=math.degrees(turns_rad[0])
+        )
 
     def _seen(self, markers_mm: FloatArray) -> list[list[float]]:
         """Coordinates across the body, along it, and out of the plane, from the centre at the reference [mm]."""

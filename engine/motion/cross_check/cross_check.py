@@ -140,6 +140,8 @@ class CrossCheck:
     def _forget_changes(self) -> None:
         self._disagreements, self._settled_mm, self.position, self.evidence = {}, 0.0, None, None
         self._scene.restart()
+        for number, one in enumerate(self._recent):
+            self._recent[number] = one._replace(scene_mm=_UNKNOWN_MM)  # against the scene of before
 
     @property
     def shapes(self) -> BreathingShapes | None:
@@ -192,7 +194,7 @@ class CrossCheck:
         )
 
     def lost(self, model: MotionModel, *, is_reference_due: bool, learned: object = None) -> Lost | None:
-        """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees.
+        """Return the loss if surface or colour disagree with the reference; the first frame of a reference agrees.
 
         ``learned`` are the `LearnedShapes` of the job that fitted the model, if any.
         """
@@ -245,7 +247,12 @@ class CrossCheck:
             "surface": self._surface_changed(change),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
-        return next(iter(self._disagreements.values()), None)
+        return self._disagreements.get("colour") or self._disagreements.get("surface")
+
+    @property
+    def doubt(self) -> Lost | None:
+        """That the camera or the couch has moved since the reference; None where neither has."""
+        return self._disagreements.get("camera")
 
     def _camera_moved(self, moved_mm: float) -> Lost | None:
         if math.isnan(moved_mm):

@@ -133,7 +133,7 @@ class Alarms(Message):
 
 
 class LiveLost(Message):
-    """Reason why this frame could not be measured."""
+    """Reason why this frame could not be measured; while `state` is `measuring`, why the gate does not rest on it."""
 
     reason: str
     detail: str

@@ -235,7 +235,7 @@ def _session_status(status: LoopStatus, *, is_stopping: bool) -> str:
 
 
 def _lost(measurement: Measurement) -> LiveLost | None:
-    lost = measurement.lost
+    lost = measurement.reason
     return None if lost is None else LiveLost(reason=lost.reason.value, detail=lost.detail)
 
 

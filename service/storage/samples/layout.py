@@ -46,7 +46,7 @@ COLUMNS = (
     _always("timestamp_us", _INT, "us", "the device's time of the depth frame"),
     _always("missed_frames", _INT, "1", "frames the device counted before this one and that never came"),
     _always("state", _TEXT, "", "training, measuring or lost"),
-    _maybe("lost_reason", _TEXT, "", "why nothing was measured"),
+    _maybe("lost_reason", _TEXT, "", "why nothing was measured, or, while measuring, why the gate does not rest on it"),
     _maybe("whole_mm", _REAL, "mm", "motion of the whole region, positive towards the camera"),
     _maybe("thorax_mm", _REAL, "mm", "motion of the thorax"),
     _maybe("abdomen_mm", _REAL, "mm", "motion of the abdomen"),

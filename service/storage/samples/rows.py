@@ -40,7 +40,7 @@ def sample_values(record: FrameRecord) -> dict[str, object]:
         "timestamp_us": measurement.timestamp_us,
         "missed_frames": measurement.missed_frames,
         "state": measurement.state.value,
-        "lost_reason": None if measurement.lost is None else measurement.lost.reason.value,
+        "lost_reason": None if measurement.reason is None else measurement.reason.reason.value,
         "signal_mm": finite_or_none(record.signal_mm),
         "gate": record.gate_state.value,
         "hold_reason": None if record.hold_reason is None else record.hold_reason.value,

@@ -257,13 +257,14 @@ class _Recorder:
         measurement = self._pipeline.measure(frame)
         self._measurements.append(measurement)
         self._truth_mm.append(truth_mm)
+        gated = measurement.as_gated
         self._holds.append(
             self._supervisor.check(
                 frame,
-                measurement,
+                gated,
                 window=WIDE,
                 model=self._pipeline.learner.status.model,
-                has_reference=measurement.motion is not None or bool(self._holds),
+                has_reference=gated.motion is not None or bool(self._holds),
                 notices=self._pipeline.learner.take_notices(),
             )
         )
@@ -289,7 +290,9 @@ class _Recorder:
         return Session(
             case=case,
             seconds=(np.arange(len(true_mm)) - onset)[onset:] / FPS,
-            is_measured=np.array([one.state is MeasurementState.MEASURING for one in self._measurements])[onset:],
+            is_measured=np.array([one.as_gated.state is MeasurementState.MEASURING for one in self._measurements])[
+                onset:
+            ],
             is_held=(np.array([bool(one) for one in self._holds]) | is_unseen.any(axis=1))[onset:],
             error_mm=(measured_mm - true_mm)[onset:],
             is_on=is_on[onset:],
@@ -303,9 +306,9 @@ class _Recorder:
         limits = replace(_limits(lower_mm, upper_mm, SIGNALS[signal]), head_direction=self._head_direction)
         gate, is_armed, found = Gate(), False, []
         for measurement, holds in zip(self._measurements, self._holds, strict=True):
-            if not is_armed and measurement.motion is not None:
+            if not is_armed and measurement.as_gated.motion is not None:
                 gate, is_armed = step_gate(gate, Arm(operator="evaluation"), measurement.received_ns, limits), True
-            events: tuple[GateEvent, ...] = (*holds, measurement, *holds)
+            events: tuple[GateEvent, ...] = (*holds, measurement.as_gated, *holds)
             for event in events:
                 gate = step_gate(gate, event, measurement.received_ns, limits)
             found.append(gate.state is GateState.BEAM_ON)
@@ -314,8 +317,9 @@ class _Recorder:
     def _reasons(self, onset: int) -> tuple[str, ...]:
         found: dict[str, str] = {}
         for measurement, holds in zip(self._measurements[onset:], self._holds[onset:], strict=True):
-            if measurement.lost is not None:
-                found.setdefault(measurement.lost.reason, f"{measurement.lost.reason}: {measurement.lost.detail}")
+            reason = measurement.reason
+            if reason is not None:
+                found.setdefault(reason.reason, f"{reason.reason}: {reason.detail}")
             for hold in holds:
                 found.setdefault(hold.reason, f"{hold.reason}: {hold.detail}")
             for text in filter(None, _unseen(measurement)):

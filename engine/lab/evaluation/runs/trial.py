@@ -201,8 +201,8 @@ class _TidegateSide:
     def add_frame(self, frame: RgbdFrame) -> Measurement:
         measurement = self.pipeline.measure(frame)
         self.state[frame.index] = _STATES[measurement.state]
-        if measurement.lost is not None:
-            self._reasons[measurement.lost.reason.value] += 1
+        if measurement.reason is not None:
+            self._reasons[measurement.reason.reason.value] += 1
         if measurement.motion is not None:
             self._write(frame.index, measurement.motion)
         return measurement

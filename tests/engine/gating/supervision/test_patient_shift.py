@@ -118,7 +118,7 @@ def test_an_abdomen_that_rises_alone_is_no_turn():
 
 def test_markers_that_lie_in_no_plane_turn_only_when_they_turn():
     zero_mm = np.array([[-100.0, -150.0, 780.0], [100.0, -150.0, 840.0], [100.0, 150.0, 790.0], [-100.0, 150.0, 860.0]])
-    assert MarkersAtReference(zero_mm).movement(zero_mm) == pytest.approx((0.0,) * 4, abs=1e-9)
+    assert MarkersAtReference(zero_mm).movement(zero_mm) == pytest.approx((0.0,) * 5, abs=1e-9)
     breath_mm = zero_mm - np.array([0.0, 0.0, 15.0])
     assert MarkersAtReference(zero_mm).movement(breath_mm).turn_deg == pytest.approx(0.0, abs=1e-9)
 
@@ -133,7 +133,7 @@ def test_a_camera_that_hangs_at_an_angle_sees_the_same_shift():
     moved = MarkersAtReference(zero_mm @ rotation.T + camera).movement(
         (zero_mm + np.array([3.0, 4.0, -40.0])) @ rotation.T + camera
     )
-    assert (moved.shift_mm, moved.across_mm, moved.along_mm) == pytest.approx((5.0, 3.0, 4.0))
+    assert moved[:1] + moved[2:] == pytest.approx((5.0, 3.0, 4.0, 0.0), abs=1e-6)
     assert moved.turn_deg == pytest.approx(0.0, abs=1e-6)
 
 

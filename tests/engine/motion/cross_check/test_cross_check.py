@@ -93,12 +93,13 @@ class Session:
         self.index += 1
 
     def run(self, frames, *, is_reference_due=False):
-        """Take frames; return the loss of each."""
+        """Take frames; return the loss of each, or the doubt in which it is measured."""
         found = []
         for _ in range(frames):
             self.observe()
-            found.append(self.check.lost(self.model, is_reference_due=is_reference_due, learned=self.learned))
-            if found[-1] is None and not self.is_lost_otherwise:
+            lost = self.check.lost(self.model, is_reference_due=is_reference_due, learned=self.learned)
+            found.append(lost or self.check.doubt)
+            if lost is None and not self.is_lost_otherwise:
                 self.check.confirm()
             is_reference_due = False
         return found
