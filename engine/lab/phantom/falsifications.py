@@ -221,7 +221,8 @@ class Falsification:
     """What is not honest about a recording from ``start_s`` on; several parts may come together.
 
     ``slide_mm`` is how far all stickers slide along the body with each inhale, as on clothing. ``scene_seen_s`` is how
-    long before ``start_s`` couch and floor are uncovered; None where they always are.
+    long before ``start_s`` couch and floor are uncovered; None where they always are. ``floor_stays`` turns the
+    camera's move into one of the couch, with the patient on it.
     """
 
     start_s: float
@@ -235,6 +236,7 @@ class Falsification:
     rolling: Rolling | None = None
     slide_mm: float = 0.0
     scene_seen_s: float | None = None
+    floor_stays: bool = False
 
     def elapsed_s(self, time_s: float) -> float | None:
         """Time since it began; None before."""

@@ -24,7 +24,7 @@ from engine.lab.phantom.scenarios import Pose
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.sensor import Sensor, Unit
 from engine.lab.phantom.truth import Grid
-from engine.lab.phantom.view import Frustum, Rays, View
+from engine.lab.phantom.view import FLOOR_MM, Frustum, Rays, View
 
 AT_REST = Pose()
 BREATHING_MODES = 6
@@ -224,7 +224,9 @@ class Studio:
         return occluders.cloth(float(x_mm), float(y_mm), -float(z_mm))
 
     def _make_depth_stage(self, pose: Pose, camera: Pose = AT_REST) -> DepthStage:
-        view = View(self._depth_rays, _moved(self.scene.rig.depth_from_couch, camera), self._body, pose)
+        false = self.scene.script.falsification
+        floor_mm = FLOOR_MM + (camera.z_mm if false is not None and false.floor_stays else 0.0)
+        view = View(self._depth_rays, _moved(self.scene.rig.depth_from_couch, camera), self._body, pose, floor_mm)
         half_x, half_y = (np.float32(half) for half in BODY_HALF_MM)
         material = cv2.remap(self._body.material, view.x_mm + half_x, view.y_mm + half_y, cv2.INTER_NEAREST)
         rng = np.random.default_rng((self.scene.script.volunteer, 8))

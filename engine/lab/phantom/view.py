@@ -91,7 +91,9 @@ class View:
         Pixels of the moving skin, of the window's shape.
     """
 
-    def __init__(self, rays: Rays, camera_from_couch: RigidTransform, body: Body, pose: Pose) -> None:
+    def __init__(
+        self, rays: Rays, camera_from_couch: RigidTransform, body: Body, pose: Pose, floor_mm: float = FLOOR_MM
+    ) -> None:
         frustum = Frustum(camera_from_couch, pose)
         self._top_mm = np.float32(frustum.height_mm)
         center = frustum.center.astype(np.float32)
@@ -99,7 +101,7 @@ class View:
         depth, height = _meet_at_rest(body, center, self._top_mm, directions)
         self.x_mm, self.y_mm = center[0] + depth * directions[0], center[1] + depth * directions[1]
         self.is_body: BoolArray = height > 1.0
-        room, self.room_x_mm, self.room_y_mm, self.is_couch = _room(rays, camera_from_couch)
+        room, self.room_x_mm, self.room_y_mm, self.is_couch = _room(rays, camera_from_couch, floor_mm)
         self.depth_mm: Map = np.where(self.is_body, depth, room)
         trunk_x, trunk_y = TRUNK_HALF_MM
         moves = self.is_body & (np.abs(self.x_mm) < trunk_x - 6.0) & (np.abs(self.y_mm) < trunk_y - 6.0)
@@ -160,13 +162,15 @@ def _meet_at_rest(
     return depth, height
 
 
-def _room(rays: Rays, camera_from_couch: RigidTransform) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def _room(
+    rays: Rays, camera_from_couch: RigidTransform, floor_mm: float
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Depth and couch coordinates of couch and floor [mm], and the pixels of the couch."""
     frustum = Frustum(camera_from_couch, Pose())
     dx, dy, dz = frustum.directions(rays.x, rays.y)
     couch = frustum.height_mm / dz
     is_couch = np.abs(frustum.center[0] + couch * dx) < COUCH_HALF_WIDTH_MM
-    depth = np.where(is_couch, couch, (frustum.height_mm - FLOOR_MM) / dz).astype(np.float32)
+    depth = np.where(is_couch, couch, (frustum.height_mm - floor_mm) / dz).astype(np.float32)
     return depth, frustum.center[0] + depth * dx, frustum.center[1] + depth * dy, is_couch
 
 

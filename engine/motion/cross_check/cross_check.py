@@ -259,10 +259,13 @@ class CrossCheck:
             return self._disagreements.get("camera")
         if moved_mm <= self._bound("camera", CAMERA_MM):
             return None
-        detail = (
-            f"couch and floor are {moved_mm:.1f} mm from where they were at the reference: camera or couch has moved, "
-            "set the reference again"
-        )
+        where = f"{moved_mm:.1f} mm from where"
+        if self._scene.has_floor_moved is False:
+            detail = f"the couch is {where} it was at the reference, the floor is not: the couch has moved"
+        else:
+            what = "camera or couch has moved" if self._scene.has_floor_moved is None else "the camera has moved"
+            detail = f"couch and floor are {where} they were at the reference: {what}"
+        detail = f"{detail}, set the reference again"
         return Lost(reason=LostReason.CAMERA_MOVED, detail=detail)
 
     def _brightness(self) -> Brightness:

@@ -2,13 +2,16 @@
 
 The depth picture is read in blocks. Blocks that lie behind the patient's chest, stand still for a second and are flat
 are the scene; arms and flanks are round. A small movement of the camera towards it, or a tilt, changes the depth of all
-of them like that of a plane.
+of them like that of a plane. Where the couch and the floor are both seen, they are followed apart too: a couch that
+moves over a floor that stays is a few blocks among many.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import BoolArray, DepthImage, FloatArray
@@ -30,7 +33,16 @@ LEAST_BLOCKS = 40
 INLIER_MM = 15.0
 """A block that changed more is covered or uncovered: by a person beside the couch, for example."""
 LEAST_INLIERS = 0.5
+LAYER_GAP_MM = 200.0
+"""Least step of depth between a couch and what lies below it."""
+EDGE_MM = 60.0
+"""Largest step of depth from a block of one layer to its neighbours."""
+LEAST_OF_LAYER = 20
+STANDS_SHARE = 0.4
+"""A floor that moved by less than this share of the couch's movement stands still."""
 ROUNDS = 3
+NAMED_MM = 1.0
+"""A movement from which it is asked what has moved."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,6 +53,19 @@ class _Reference:
     depth_mm: FloatArray
     terms: FloatArray
     weights: FloatArray
+
+
+class _Layer(NamedTuple):
+    """Blocks of the couch, or of what lies below it: their numbers, and their depth at the reference [mm]."""
+
+    places: npt.NDArray[np.intp]
+    depth_mm: FloatArray
+
+    def change_mm(self, blocks_mm: FloatArray) -> float | None:
+        """Return the median change of depth; None where half of the blocks are covered or uncovered."""
+        change_mm = blocks_mm[self.places] - self.depth_mm
+        seen: list[float] = sorted(change_mm[np.abs(change_mm) <= INLIER_MM].tolist())  # NaN is none
+        return seen[len(seen) // 2] if len(seen) >= LEAST_INLIERS * len(change_mm) else None
 
 
 class StaticScene:
@@ -55,10 +80,13 @@ class StaticScene:
         self._seen: list[FloatArray] = []
         self._began_us: int | None = None
         self._reference: _Reference | None = None
+        self._layers: tuple[_Layer, _Layer] | None = None
+        self.has_floor_moved: bool | None = None
 
     def restart(self) -> None:
         """Learn the scene again."""
-        self._seen, self._began_us, self._reference = [], None, None
+        self._seen, self._began_us, self._reference, self._layers = [], None, None, None
+        self.has_floor_moved = None
 
     def follow(self, depth_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:
         """Return how the scene's depth has changed at some points [mm], as a rigid movement of the camera changes it.
@@ -78,7 +106,26 @@ class StaticScene:
         if self._reference is None:
             self._learn(_blocks_mm(depth_mm), float(points_mm[:, 2].max()), timestamp_us)
             return None
-        return _movement(self._reference, depth_mm, points_mm)
+        moved_mm = _movement(self._reference, depth_mm, points_mm)
+        return moved_mm if self._layers is None else self._with_couch(self._layers, moved_mm, depth_mm)
+
+    def _with_couch(
+        self, layers: tuple[_Layer, _Layer], moved_mm: FloatArray | None, depth_mm: DepthImage
+    ) -> FloatArray | None:
+        """Return the scene's movement, or the couch's where that is larger, and find out whether the floor moved.
+
+        The couch is often seen on one side of the patient only: how far it is raised is measured, and no tilt.
+        """
+        blocks_mm = _blocks_mm(depth_mm)
+        couch_mm = layers[0].change_mm(blocks_mm)
+        largest_mm = 0.0 if moved_mm is None else float(np.abs(moved_mm).max())
+        if couch_mm is not None and abs(couch_mm) > largest_mm:
+            largest_mm, moved_mm = abs(couch_mm), np.full(4, couch_mm)
+        self.has_floor_moved = None
+        if largest_mm >= NAMED_MM:
+            floor_mm = layers[1].change_mm(blocks_mm)
+            self.has_floor_moved = None if floor_mm is None else abs(floor_mm) > STANDS_SHARE * largest_mm
+        return moved_mm
 
     def _learn(self, blocks_mm: FloatArray, nearest_mm: float, timestamp_us: int) -> None:
         if self._began_us is None or timestamp_us < self._began_us:
@@ -104,6 +151,23 @@ class StaticScene:
             terms=_terms(self._rays[is_picked] * depth_mm[:, None]),
             weights=1.0 / depth_mm**4,
         )
+        # A block at an edge holds some of both, in a share that moves with it.
+        is_whole = is_picked & (_step_mm(mean_mm.reshape(self._shape)).ravel() <= EDGE_MM)
+        below_mm = _lower_end_mm(mean_mm[is_whole])
+        if below_mm is not None:
+            is_couch = mean_mm <= below_mm
+            places = (np.flatnonzero(is_whole & is_couch), np.flatnonzero(is_whole & ~is_couch))
+            couch, floor = (_Layer(of_layer, mean_mm[of_layer]) for of_layer in places)
+            self._layers = (couch, floor)
+
+
+def _lower_end_mm(depth_mm: FloatArray) -> float | None:
+    """Return the depth of the deepest block of the couch; None where couch and floor are not both seen."""
+    ordered = np.sort(depth_mm)
+    steps = np.diff(ordered)[LEAST_OF_LAYER - 1 : len(ordered) - LEAST_OF_LAYER]
+    if not len(steps) or steps.max() < LAYER_GAP_MM:
+        return None
+    return float(ordered[LEAST_OF_LAYER - 1 + int(np.argmax(steps))])
 
 
 def _movement(reference: _Reference, depth_mm: DepthImage, points_mm: FloatArray) -> FloatArray | None:
@@ -157,6 +221,15 @@ def _bend_mm(depth_mm: FloatArray) -> FloatArray:
     along, across = depth_mm[:-2, 1:-1] + depth_mm[2:, 1:-1], depth_mm[1:-1, :-2] + depth_mm[1:-1, 2:]
     bend_mm[1:-1, 1:-1] = np.maximum(np.abs(inner - 0.5 * along), np.abs(inner - 0.5 * across))
     return bend_mm
+
+
+def _step_mm(depth_mm: FloatArray) -> FloatArray:
+    """Return the largest step of depth from each block to its four neighbours; inf at the rim."""
+    step_mm = np.full(depth_mm.shape, np.inf)
+    inner = depth_mm[1:-1, 1:-1]
+    neighbours = (depth_mm[:-2, 1:-1], depth_mm[2:, 1:-1], depth_mm[1:-1, :-2], depth_mm[1:-1, 2:])
+    step_mm[1:-1, 1:-1] = np.max([np.abs(inner - one) for one in neighbours], axis=0)
+    return step_mm
 
 
 def _terms(points_mm: FloatArray) -> FloatArray:

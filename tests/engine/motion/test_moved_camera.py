@@ -1,5 +1,6 @@
 """A couch or camera that moves by some millimetres: every frame is measured, named, and teaches nothing."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,7 @@ from engine.core.reference_proposal import ReferenceMoment
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, new_pipeline
 
-COUCH_MM = 1000.0
+COUCH_MM, FLOOR_MM = 1000.0, 1700.0
 PERIOD = 120
 """Frames of a breath."""
 
@@ -23,7 +24,9 @@ def shown(phase):
     def on_couch(depth):
         noise = np.random.default_rng(phase).normal(0.0, 0.9, depth.shape)
         couch = np.rint(COUCH_MM + noise).astype(np.uint16)
-        depth[:, :150], depth[:, 490:] = couch[:, :150], couch[:, 490:]
+        floor = np.rint(FLOOR_MM + 3.0 * noise).astype(np.uint16)
+        depth[:, :160], depth[:, 480:] = couch[:, :160], couch[:, 480:]
+        depth[:, :64], depth[:, 576:] = floor[:, :64], floor[:, 576:]
 
     return small_scene.frame(phase, edit=on_couch)
 
@@ -33,7 +36,7 @@ class Room:
 
     def __init__(self, model=None):
         self.pipeline, self.camera = new_pipeline(), Played([shown(phase) for phase in range(PERIOD)])
-        self.lowered_mm = self.sheet_mm = 0
+        self.lowered_mm = self.sheet_mm = self.floor_mm = 0
         if model is not None:
             self.pipeline.learner.activate(model)
 
@@ -41,7 +44,8 @@ class Room:
         found = []
         for _ in range(frames):
             frame = next(self.camera)
-            depth_mm = frame.depth_mm + np.uint16(self.lowered_mm)
+            is_floor = frame.depth_mm > FLOOR_MM - 100.0
+            depth_mm = frame.depth_mm + np.where(is_floor, self.floor_mm, self.lowered_mm).astype(np.uint16)
             depth_mm[200:300, 270:370] -= np.uint16(self.sheet_mm)
             found.append(self.pipeline.measure(replace(frame, depth_mm=depth_mm)))
         return found
@@ -78,11 +82,16 @@ def test_every_frame_is_measured_with_the_movement_in_it_and_named(room):
     found = lowered(room, 2)
     assert {one.state for one in found} == {MeasurementState.MEASURING}
     assert {one.doubt.reason for one in found} == {LostReason.CAMERA_MOVED}
-    assert "2." in found[-1].doubt.detail
+    assert re.search(r"the couch is (1\.[89]|2\.[01]) mm from where .*: the couch has moved", found[-1].doubt.detail)
     after = [one.motion.whole_mm for one in found]
     assert np.mean(after) == pytest.approx(np.mean(before) - 2.0, abs=0.4)
     assert found[-1].position.height_mm == pytest.approx(-2.0, abs=0.3)
     assert found[-1].breaths[0].rate_per_min is not None
+
+
+def test_a_camera_that_moved_takes_the_floor_along(room):
+    room.floor_mm = 2
+    assert "the camera has moved" in lowered(room, 2)[-1].doubt.detail
 
 
 def test_a_doubt_ends_where_it_was_or_with_a_reference(room):

@@ -13,11 +13,24 @@ STEP_US = 33_333
 FRAMES = LEARNING_US // STEP_US + 2
 
 
-def scene_mm(*, lowered_mm=0.0, tilt_rad=0.0, chest_mm=0.0, person=False, has_room=True, seed=1):
-    """A round body on a couch at 1.02 m over a floor at 1.7 m; the camera is lowered, or tilted about x."""
-    room = np.where(np.abs(RAYS_X * 1020.0) < 300.0, 1020.0, 1700.0)
+def scene_mm(
+    *,
+    lowered_mm=0.0,
+    couch_mm=0.0,
+    couch_half_mm=300.0,
+    tilt_rad=0.0,
+    chest_mm=0.0,
+    person=False,
+    has_room=True,
+    seed=1,
+):
+    """A round body on a couch at 1.02 m over a floor at 1.7 m; the camera is lowered, or tilted about x.
+
+    ``couch_mm`` is how far the couch is lowered, with the body on it.
+    """
+    room = np.where(np.abs(RAYS_X * 1020.0) < couch_half_mm, 1020.0 + couch_mm, 1700.0)
     moved = room - lowered_mm + tilt_rad * RAYS_Y * room
-    body = 850.0 + 0.002 * (X - 320.0) ** 2 - chest_mm - lowered_mm + tilt_rad * RAYS_Y * 850.0
+    body = 850.0 + 0.002 * (X - 320.0) ** 2 - chest_mm + couch_mm - lowered_mm + tilt_rad * RAYS_Y * 850.0
     is_body = (np.abs(X - 320.0) < 130.0) & (np.abs(Y - 240.0) < 210.0)
     depth = np.where(is_body, body, moved)
     if person:

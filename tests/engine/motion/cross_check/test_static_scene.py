@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.motion.cross_check.static_scene import StaticScene
-from tests.support.motion.static_room import CAMERA, FRAMES, MARKERS_MM, STEP_US, scene_mm
+from tests.support.motion.static_room import CAMERA, FRAMES, MARKERS_MM, RAYS_X, STEP_US, scene_mm
 
 
 def learned(**scene):
@@ -35,6 +35,40 @@ def test_a_camera_lowered_is_measured(scene, lowered_mm):
 def test_a_camera_tilted_is_measured_at_each_marker(scene):
     tilt_rad = np.deg2rad(0.5)
     assert moved_mm(scene, scene_mm(tilt_rad=tilt_rad, seed=92)) == pytest.approx(tilt_rad * MARKERS_MM[:, 1], abs=0.5)
+
+
+WIDE = {"couch_half_mm": 420.0}
+
+
+@pytest.fixture(scope="module")
+def wide():
+    """A scene whose couch and floor are both seen."""
+    return learned(**WIDE)
+
+
+@pytest.mark.parametrize("couch_mm", [2.0, -1.7, 8.0])
+def test_a_couch_that_moves_over_a_floor_that_stays_is_measured_and_named(wide, couch_mm):
+    found = moved_mm(wide, scene_mm(couch_mm=couch_mm, seed=91, **WIDE))
+    assert found == pytest.approx([couch_mm] * 4, abs=0.3)
+    assert wide.has_floor_moved is False
+
+
+@pytest.mark.parametrize("lowered_mm", [2.0, -4.0, 10.0])
+def test_a_camera_that_moves_takes_the_floor_along(wide, lowered_mm):
+    found = moved_mm(wide, scene_mm(lowered_mm=lowered_mm, seed=91, **WIDE))
+    assert found == pytest.approx([-lowered_mm] * 4, abs=0.5)
+    assert wide.has_floor_moved is True
+
+
+def test_what_has_moved_is_not_known_where_nothing_or_one_of_both_is_seen(wide, scene):
+    assert np.abs(moved_mm(wide, scene_mm(seed=92, **WIDE))).max() < 0.4
+    assert wide.has_floor_moved is None
+    moved_mm(scene, scene_mm(lowered_mm=3.0, seed=93))
+    assert scene.has_floor_moved is None, "too little of the couch is seen there"
+    covered = scene_mm(couch_mm=5.0, seed=94, **WIDE)
+    covered[np.abs(RAYS_X * 1020.0) > WIDE["couch_half_mm"]] = 700
+    moved_mm(wide, covered)
+    assert wide.has_floor_moved is None
 
 
 def test_a_patient_who_moves_or_breathes_is_not_the_camera(scene):
