@@ -56,16 +56,26 @@ class _Reference:
 
 
 class _Layer(NamedTuple):
-    """Blocks of the couch, or of what lies below it: their numbers, and their depth at the reference [mm]."""
+    """Blocks of the couch, or of what lies below it: numbers, depth at the reference [mm], terms of a plane."""
 
     places: npt.NDArray[np.intp]
     depth_mm: FloatArray
+    terms: FloatArray
 
     def change_mm(self, blocks_mm: FloatArray) -> float | None:
         """Return the median change of depth; None where half of the blocks are covered or uncovered."""
         change_mm = blocks_mm[self.places] - self.depth_mm
         seen: list[float] = sorted(change_mm[np.abs(change_mm) <= INLIER_MM].tolist())  # NaN is none
         return seen[len(seen) // 2] if len(seen) >= LEAST_INLIERS * len(change_mm) else None
+
+    def movement_mm(self, blocks_mm: FloatArray) -> float | None:
+        """Return the root mean square of a rigid movement: of a tilt, the median change is none."""
+        change_mm = blocks_mm[self.places] - self.depth_mm
+        is_inlier = np.abs(change_mm) <= INLIER_MM
+        if np.count_nonzero(is_inlier) < LEAST_INLIERS * len(change_mm):
+            return None
+        plane, *_ = np.linalg.lstsq(self.terms[is_inlier], change_mm[is_inlier])
+        return float(np.sqrt(np.mean((self.terms @ plane) ** 2)))
 
 
 class StaticScene:
@@ -123,8 +133,8 @@ class StaticScene:
             largest_mm, moved_mm = abs(couch_mm), np.full(4, couch_mm)
         self.has_floor_moved = None
         if largest_mm >= NAMED_MM:
-            floor_mm = layers[1].change_mm(blocks_mm)
-            self.has_floor_moved = None if floor_mm is None else abs(floor_mm) > STANDS_SHARE * largest_mm
+            floor_mm = layers[1].movement_mm(blocks_mm)
+            self.has_floor_moved = None if floor_mm is None else floor_mm > STANDS_SHARE * largest_mm
         return moved_mm
 
     def _learn(self, blocks_mm: FloatArray, nearest_mm: float, timestamp_us: int) -> None:
@@ -157,7 +167,10 @@ class StaticScene:
         if below_mm is not None:
             is_couch = mean_mm <= below_mm
             places = (np.flatnonzero(is_whole & is_couch), np.flatnonzero(is_whole & ~is_couch))
-            couch, floor = (_Layer(of_layer, mean_mm[of_layer]) for of_layer in places)
+            couch, floor = (
+                _Layer(of_layer, mean_mm[of_layer], _terms(self._rays[of_layer] * mean_mm[of_layer, None]))
+                for of_layer in places
+            )
             self._layers = (couch, floor)
 
 

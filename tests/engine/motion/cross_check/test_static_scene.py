@@ -60,6 +60,11 @@ def test_a_camera_that_moves_takes_the_floor_along(wide, lowered_mm):
     assert wide.has_floor_moved is True
 
 
+def test_a_camera_that_tilts_takes_the_floor_along(wide):
+    moved_mm(wide, scene_mm(tilt_rad=np.deg2rad(0.6), seed=92, **WIDE))
+    assert wide.has_floor_moved is True
+
+
 def test_what_has_moved_is_not_known_where_nothing_or_one_of_both_is_seen(wide, scene):
     assert np.abs(moved_mm(wide, scene_mm(seed=92, **WIDE))).max() < 0.4
     assert wide.has_floor_moved is None
