@@ -5,8 +5,10 @@ from typing import Annotated
 
 import typer
 
-from engine.core.errors import TidegateError
+from engine.core.errors import InvalidValueError, TidegateError
+from engine.lab.evaluation.integrity.cases import falsification_of
 from engine.lab.phantom.builds import Departure
+from engine.lab.phantom.falsifications import Falsification
 from engine.lab.phantom.recording import make_volunteer
 from engine.lab.phantom.sensor_models import USUAL
 from service.cli.terminal import frame_bar, refused, say
@@ -45,13 +47,24 @@ def phantom(
         str,
         typer.Option(help="Model of the sensor's errors: usual, or locking, whose errors follow the sub-pixel phase."),
     ] = USUAL,
+    falsify: Annotated[
+        str | None,
+        typer.Option(
+            help='Kind of a false recording, as `tidegate evaluate integrity` lists them, e.g. "couch lowered".',
+            metavar="KIND",
+        ),
+    ] = None,
+    size: Annotated[str | None, typer.Option(help='Its size, e.g. "2 mm".')] = None,
+    falsify_at: Annotated[float, typer.Option(help="When it begins [s].", min=0.0, max=3600.0)] = 30.0,
     workers: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
 ) -> None:
     """Generate a recording of a virtual volunteer, with its calibration and true motion.
 
     A breathing person on a couch, recorded by a simulated camera with the noise, quantisation and gaps of the real one.
+    With --falsify something is false from some time on: a sheet, a couch that moves, a marker put elsewhere.
     """
     try:
+        false = _falsification(falsify, size, falsify_at, seconds)
         with frame_bar() as progress:
             task = progress.add_task(f"volunteer {volunteer}, {scenario}", total=None)
             make_volunteer(
@@ -66,6 +79,7 @@ def phantom(
                 has_laser=laser,
                 has_extra_markers=extra_markers,
                 sensor=sensor,
+                falsification=false,
                 workers=workers,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )
@@ -74,3 +88,13 @@ def phantom(
     except OSError as error:
         raise refused("phantom", f"{out} cannot be written ({error.strerror or error})") from error
     say(f"Written to {out}")
+
+
+def _falsification(kind: str | None, size: str | None, start_s: float, seconds: float) -> Falsification | None:
+    if kind is None:
+        if size is not None:
+            raise InvalidValueError("falsify", None, "given where a size is")
+        return None
+    if start_s >= seconds:
+        raise InvalidValueError("falsify_at", start_s, f"before the end, {seconds:g} s")
+    return falsification_of(kind, size, start_s=start_s)

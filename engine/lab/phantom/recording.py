@@ -30,6 +30,7 @@ from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure, find_build
 from engine.lab.phantom.costal import CostalStickers
+from engine.lab.phantom.falsifications import Falsification
 from engine.lab.phantom.flow import Flow, breathe_through
 from engine.lab.phantom.laser import LaserTruth, hang_laser, truth_columns
 from engine.lab.phantom.scenarios import check_scenario
@@ -94,6 +95,7 @@ def make_volunteer(
     has_laser: bool = False,
     has_extra_markers: bool = False,
     sensor: str = USUAL,
+    falsification: Falsification | None = None,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -119,6 +121,8 @@ def make_volunteer(
         Add two stickers at the costal margin; the truth's labels then hold ``split_rows``.
     sensor
         Name of the sensor model: usual or locking.
+    falsification
+        What is false about the scene from some time on, if anything; the truth stays that of the patient.
     workers
         Number of processes; one per processor by default, 1 for this process alone.
     on_progress
@@ -148,6 +152,7 @@ def make_volunteer(
         has_laser=has_laser,
         has_extra_markers=has_extra_markers,
         sensor=sensor,
+        falsification=falsification,
     )
     with _folder(out.resolve()) as draft:
         try:

@@ -20,6 +20,7 @@ from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import FileTask, measure_recording
 from engine.offline.result_files import OfflineSummary
+from engine.offline.segments import SegmentSummary
 from service.cli.cluster.options import (
     AuthorityFile,
     CertificateFile,
@@ -261,10 +262,31 @@ def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
         f"{model}), {summary.measured} measured, {summary.lost} lost. The camera dropped {summary.missed_frames} more. "
         f"{_live_from(summary)}{_duty(summary)}Written to {task.out}"
     )
+    for segment in summary.segments if len(summary.segments) > 1 else ():
+        say(_segment(segment))
     for note in _notes(summary, task):
         say(f"Note: {note}", "yellow")
     if summary.damage is not None:
         raise refused("measure", summary.damage)
+
+
+def _segment(segment: SegmentSummary) -> str:
+    """Word where a segment lies, why it began, and how the patient lies in it against the first frame."""
+    frames = f"Segment {segment.segment}, frames {segment.first_frame} to {segment.last_frame}"
+    moved = segment.moved
+    if moved is None:
+        return f"{frames}: {segment.cause}, nothing measured"
+    known = (
+        f"{moved[name]:+.1f} {unit} {way}"
+        for name, unit, way in (
+            ("shift_x_mm", "mm", "to the left"),
+            ("shift_y_mm", "mm", "inferior"),
+            ("height_mm", "mm", "towards the camera"),
+            ("turn_deg", "degrees", "on the couch"),
+        )
+        if name in moved
+    )
+    return f"{frames}: {segment.cause}; {', '.join(known)}"
 
 
 def _live_from(summary: OfflineSummary) -> str:

@@ -1,8 +1,9 @@
 """The catalogue of falsified recordings: kinds, sizes, and what is done to the scene."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from engine.core.errors import InvalidValueError
 from engine.core.head_direction import HeadDirection
 from engine.lab.phantom.falsifications import (
     BLACK_RGB,
@@ -69,6 +70,26 @@ def cases(*, is_slow: bool = False) -> list[Case]:
         *_silent_checks(),
     ]
     return [*found, *_slow_moves(), *_slow_halves()] if is_slow else found
+
+
+def falsification_of(kind: str, size: str | None, *, start_s: float) -> Falsification:
+    """Return what is done to the scene of a kind and size of the catalogue, from ``start_s`` on [s].
+
+    Raises
+    ------
+    InvalidValueError
+        No case has this kind or size, several sizes have no choice, or it is none of the scene: old pictures, and a
+        patient who lies the other way round from the beginning.
+    """
+    offered = [case for case in cases(is_slow=True) if case.falsification.stale is None and not case.is_turned]
+    kinds = dict.fromkeys(case.kind for case in offered if case.kind != "honest")
+    if kind not in kinds:
+        raise InvalidValueError("falsify", kind, f"one of {', '.join(kinds)}")
+    sizes = {case.size: case for case in offered if case.kind == kind}
+    if size not in sizes and (size is not None or len(sizes) > 1):
+        raise InvalidValueError("size", str(size), f"one of {', '.join(sizes)}")
+    case = next(iter(sizes.values())) if size is None else sizes[size]
+    return replace(case.falsification, start_s=start_s)
 
 
 def _false(**parts: object) -> Falsification:
@@ -155,6 +176,9 @@ def _moves() -> Iterator[Case]:
         yield _move("body rolled", f"{angle_deg:g} deg", Move(roll_deg=angle_deg))
     for up_mm in (4.0, 10.0):
         yield _move("camera lowered", f"{up_mm:g} mm", Move(up_mm=up_mm), is_camera=True)
+    for up_mm in (2.0, 5.0):
+        couch = _false(camera=Move(up_mm=-up_mm), floor_stays=True)
+        yield Case(kind="couch lowered", size=f"{up_mm:g} mm", falsification=couch, is_rigid=True)
     yield _move("camera tilted", "1 deg", Move(tilt_deg=1.0), is_camera=True)
     yield _move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True)
 
