@@ -55,6 +55,9 @@ class _Reference:
     weights: FloatArray
 
 
+_INLIERS_MM = np.array([-INLIER_MM, INLIER_MM])
+
+
 class _Layer(NamedTuple):
     """Blocks of the couch, or of what lies below it: numbers, depth at the reference [mm], terms of a plane."""
 
@@ -64,9 +67,9 @@ class _Layer(NamedTuple):
 
     def change_mm(self, blocks_mm: FloatArray) -> float | None:
         """Return the median change of depth; None where half of the blocks are covered or uncovered."""
-        change_mm = blocks_mm[self.places] - self.depth_mm
-        seen: list[float] = sorted(change_mm[np.abs(change_mm) <= INLIER_MM].tolist())  # NaN is none
-        return seen[len(seen) // 2] if len(seen) >= LEAST_INLIERS * len(change_mm) else None
+        change_mm = np.sort(blocks_mm[self.places] - self.depth_mm)  # NaN comes last
+        first, last = change_mm.searchsorted(_INLIERS_MM).tolist()
+        return float(change_mm[(first + last) // 2]) if last - first >= LEAST_INLIERS * len(change_mm) else None
 
     def movement_mm(self, blocks_mm: FloatArray) -> float | None:
         """Return the root mean square of a rigid movement: of a tilt, the median change is none."""
@@ -128,7 +131,7 @@ class StaticScene:
         """
         blocks_mm = _blocks_mm(depth_mm)
         couch_mm = layers[0].change_mm(blocks_mm)
-        largest_mm = 0.0 if moved_mm is None else float(np.abs(moved_mm).max())
+        largest_mm = 0.0 if moved_mm is None else max(map(abs, moved_mm.tolist()))
         if couch_mm is not None and abs(couch_mm) > largest_mm:
             largest_mm, moved_mm = abs(couch_mm), np.full(4, couch_mm)
         self.has_floor_moved = None
