@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from engine.control.reference_budget import placed_window, reach_beyond_mm
+from engine.control.reference_budget import NO_REASON, NOT_ALLOWED, placed_window, reach_beyond_mm
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, SetReference
 from engine.core.errors import ReferenceDistanceError
@@ -68,6 +68,7 @@ def test_ten_millimetres_beyond_the_first_armed_window_need_a_person_s_reason(wh
     assert errors[-1].field == "window"
     assert "10.00 mm beyond the fraction's first" in errors[-1].value
     assert errors[-1].bound == "within 2 mm of it"
+    assert errors[-1].advice == (NO_REASON if who.get("may_exceed") else NOT_ALLOWED)
     assert bench.loop.status.view.window == WINDOW
 
 
@@ -190,14 +191,16 @@ def test_litres_and_the_edges_of_a_breath_hold_count_too():
             BreathHoldWindow(level=amplitude_window(lower_mm=8.0, upper_mm=12.0)),
         )
     )
-    wider, higher = (
+    wider, deeper, higher = (
         replace(before, conditions=conditions)
         for conditions in (
             (replace(before.conditions[0], upper=0.5), before.conditions[1]),
+            (replace(before.conditions[0], lower=-0.5), before.conditions[1]),
             (before.conditions[0], BreathHoldWindow(level=amplitude_window(lower_mm=10.0, upper_mm=14.0))),
         )
     )
     first = placed_window(before, None)
     assert reach_beyond_mm(first, placed_window(wider, None)) == pytest.approx(3.0)
+    assert reach_beyond_mm(first, placed_window(deeper, None)) == pytest.approx(4.0)
     assert reach_beyond_mm(first, placed_window(higher, None)) == pytest.approx(2.0)
     assert placed_window(replace(WINDOW, unit=Unit.PERCENT, lower=0.0, upper=40.0), None) is None

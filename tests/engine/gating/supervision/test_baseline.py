@@ -232,6 +232,21 @@ def test_an_unknown_level_says_what_has_to_be_seen():
     )
 
 
+@pytest.mark.parametrize(("step_l", "is_held"), [(0.14, False), (0.16, True)])
+def test_a_jump_of_the_volume_counts_by_a_tenth_of_a_litre_for_a_millimetre(step_l, is_held):
+    window = AmplitudeWindow(choice=VOLUME, lower=-5.0, upper=5.0, unit="l")
+    baseline = Baseline(LIMITS)
+    at_us = [measured(index).timestamp_us for index in range(40)]
+
+    def shown(index, volume_l):
+        motion = replace(motion_of(), volume_l=volume_l)
+        breaths = (breath(0.0, amplitude=0.9, choice=VOLUME, exhale_us=at_us[5]),)
+        return baseline.check(replace(measured(index, motion), breaths=breaths), window)
+
+    assert shown(10, 0.2) is None
+    assert (shown(11, 0.2 + step_l) is not None) is is_held
+
+
 @pytest.mark.parametrize(
     ("step_mm", "frames", "is_held"), [(1.4, 1, False), (1.6, 1, True), (2.9, 2, False), (3.1, 2, True)]
 )

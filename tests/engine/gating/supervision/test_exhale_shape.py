@@ -22,7 +22,7 @@ class Breathing:
     """Frames with a shape each; an end of exhale is known a second after it was."""
 
     def __init__(self):
-        self.shape, self.index, self.exhale_us = ExhaleShape(LIMITS), 0, None
+        self.shape, self.index, self.exhale_us = ExhaleShape(LIMITS), 1_000, None  # half a minute of device time
 
     def show(self, *, tilt_deg=0.0, redistributed_mm=0.0, exhale_at=None, has_reference=True):
         self.index += 1

@@ -135,6 +135,18 @@ def test_every_repeated_picture_may_make_all_later_ones_older(new_between):
     assert sum(map(len, found)) == (5 if new_between == 0 else 2), "a new picture after the fault begins the count anew"
 
 
+def test_the_markers_travel_is_that_of_the_last_ten_seconds():
+    supervised = Supervised(max_shift_mm=20.0)
+    there = lying(0).motion.surface_mm + np.array([0.0, 4.0, 0.0])
+    supervised.show(lying(0))
+    for index in range(1, 5):
+        supervised.show(replace(lying(index), motion=replace(lying(index).motion, surface_mm=there)))
+    supervised.show(lying(5))
+    assert supervised.supervisor.marker_travel_mm == pytest.approx(4.0)
+    supervised.show(lying(400))
+    assert supervised.supervisor.marker_travel_mm == pytest.approx(0.0)
+
+
 def test_frames_that_are_lost_for_another_reason_make_no_later_picture_older():
     supervised = Supervised()
     lost = [unmeasured(measured(index), MeasurementState.LOST, LostReason.MARKER_LOST) for index in range(30)]
