@@ -105,7 +105,7 @@ def test_a_window_and_a_reference_add_up_at_the_arming():
     errors = asked(ARM, DISARM, moved_by(1.5), lie, ARM, replace(ARM, reason="the bladder is full"))[1]
     assert errors[:3] == [None] * 3
     assert isinstance(errors[3], ReferenceDistanceError)
-    assert "3.00 mm beyond" in errors[3].value
+    assert (errors[3].field, "3.00 mm beyond" in errors[3].value) == ("window", True)
     assert errors[4] is None
 
 
