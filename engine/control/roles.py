@@ -67,8 +67,8 @@ class Learner(Protocol):
     def keep_model(self, *, is_kept: bool) -> None:
         """Set, before each frame, whether the present model must stay: an armed gate decides by it."""
 
-    def retrain(self, *, keeps_zero: bool = True) -> None:
-        """Gather frames and learn again; ``keeps_zero`` transfers the reference to the new model."""
+    def retrain(self, *, keeps_reference: bool = True) -> None:
+        """Gather frames and learn again; ``keeps_reference`` transfers the reference to the new model."""
 
     def activate(self, model: MotionModel) -> None:
         """Measure with ``model`` once the reference is transferred to it; raise ModelError if it does not fit."""

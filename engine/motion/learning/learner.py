@@ -120,9 +120,9 @@ class Learner:
             raise CommandRefusedError(msg)
         self.reference.request(moment, most_mm=most_mm)
 
-    def retrain(self, *, keeps_zero: bool = True) -> None:
+    def retrain(self, *, keeps_reference: bool = True) -> None:
         """Collect frames for a new model; the present one stays in use until the new one is ready."""
-        self.models.retrain(keeps_zero=keeps_zero)
+        self.models.retrain(keeps_reference=keeps_reference)
 
     def activate(self, model: MotionModel) -> None:
         """Use a stored model of this session after the reference was transferred to it."""

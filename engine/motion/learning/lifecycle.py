@@ -189,14 +189,14 @@ class ModelLifecycle:
 
     # -- commands -----------------------------------------------------------------------------------------------
 
-    def begin_learning(self, *, keeps_zero: bool = True) -> None:
+    def begin_learning(self, *, keeps_reference: bool = True) -> None:
         """Collect frames for a new model."""
         setup = self.setup
-        self._task = FitTask(setup.settings, setup.stages, setup.calibration_sha256, keeps_zero=keeps_zero)
+        self._task = FitTask(setup.settings, setup.stages, setup.calibration_sha256, keeps_reference=keeps_reference)
         self._positions.clear_past()
         self._refits.begin()
 
-    def retrain(self, *, keeps_zero: bool) -> None:
+    def retrain(self, *, keeps_reference: bool) -> None:
         """Collect frames for a new model; the present one stays in use until the new one is ready.
 
         A refit in progress is dropped: it was started by the engine, this by a person.
@@ -204,7 +204,7 @@ class ModelLifecycle:
         if self._comparison is not Comparison.NONE:
             raise CommandRefusedError(COMPARING)
         self._job = next_job(self._job, JobEvent.RETRAIN)
-        self.begin_learning(keeps_zero=keeps_zero)
+        self.begin_learning(keeps_reference=keeps_reference)
         self._journal.refusal = ""
 
     def activate(self, model: MotionModel) -> None:

@@ -116,16 +116,21 @@ class FitTask:
 
     Parameters
     ----------
-    keeps_zero
+    keeps_reference
         Whether the reference is transferred from the previous model; otherwise an operator has to set it again.
     """
 
     def __init__(
-        self, settings: TrainingSettings, stages: LearningStages, calibration_sha256: str, *, keeps_zero: bool = True
+        self,
+        settings: TrainingSettings,
+        stages: LearningStages,
+        calibration_sha256: str,
+        *,
+        keeps_reference: bool = True,
     ) -> None:
         self._settings, self._stages = settings, stages
         self._calibration_sha256 = calibration_sha256
-        self._keeps_zero = keeps_zero
+        self._keeps_reference = keeps_reference
         self._set = TrainingSet(settings, stages.vertices)
 
     def add(self, frame: TrainingFrame) -> None:
@@ -140,7 +145,7 @@ class FitTask:
     @property
     def needs_measured(self) -> bool:
         """Whether only measured frames count: with a kept reference an object on the patient must not be learned."""
-        return self._keeps_zero
+        return self._keeps_reference
 
     @property
     def progress(self) -> TrainingProgress:
@@ -154,7 +159,7 @@ class FitTask:
             stages=self._stages.of_now(),
             settings=self._settings,
             calibration_sha256=self._calibration_sha256,
-            before=before if self._keeps_zero else None,
+            before=before if self._keeps_reference else None,
         )
 
 

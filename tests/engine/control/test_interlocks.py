@@ -111,7 +111,7 @@ def test_the_view_shows_how_far_the_patient_has_moved():
     assert bench.loop.status.view.movement is None
 
 
-def test_a_model_that_carries_the_zero_does_not_hide_that_the_patient_moved():
+def test_a_model_that_carries_the_reference_does_not_hide_that_the_patient_moved():
     bench = on_bench([])
 
     def swap():

@@ -396,7 +396,7 @@ def test_a_window_in_per_cent_is_shown_settled_and_corrected_in_mm():
 
 
 @pytest.mark.parametrize(("has_new_zero", "edges"), [(False, (1.0, 5.0)), (True, (3.0, 7.0))])
-def test_per_cent_are_of_the_range_at_the_zero_and_a_model_behind_the_same_zero_moves_nothing(has_new_zero, edges):
+def test_per_cent_are_of_the_range_at_the_reference_and_another_model_moves_nothing(has_new_zero, edges):
     bench = _per_cent_bench()
 
     def learn_again():

@@ -107,7 +107,7 @@ def test_an_absent_share_holds(choice):
     assert stream.see(8)[-1] is GateState.BEAM_ON
 
 
-def test_a_signal_that_was_not_seen_when_the_reference_was_set_has_no_zero():
+def test_a_signal_that_was_not_seen_when_the_reference_was_set_has_no_reference():
     stream = armed(window_on(CELL))
     assert GateState.BEAM_ON not in stream.see(8, reference_seen=with_share(CELL, 0.3))
     assert stream.gate.detail == "region 12,4: 0.30 of its area seen when the reference was set, 0.70 needed"

@@ -133,7 +133,7 @@ def test_breaths_from_before_the_movement_are_no_reference(room):
 def test_what_is_doubted_is_not_learned(room):
     room.lowered_mm = 2
     room.run(20)
-    room.pipeline.learner.models.retrain(keeps_zero=True)
+    room.pipeline.learner.models.retrain(keeps_reference=True)
     room.run(PERIOD)
     assert room.pipeline.learner.models.progress.frames == 0
     room.lowered_mm = 0

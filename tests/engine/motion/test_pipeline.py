@@ -195,7 +195,7 @@ def test_half_holes_are_measured_and_reported(measuring):
     assert outcome.motion.whole_mm == pytest.approx(clean.whole_mm, abs=0.1)
 
 
-def test_retraining_moves_neither_zero_nor_sign(measuring):
+def test_retraining_moves_neither_reference_nor_sign(measuring):
     before = measure(measuring, [60])[0].motion
     generation = measuring.learner.status.model_generation
     first_model = measuring.learner.status.model

@@ -37,7 +37,7 @@ def returned(learned, frames):
     return pipeline, camera
 
 
-def test_the_same_camera_over_the_same_patient_measures_at_once_and_asks_for_the_zero(returned):
+def test_the_same_camera_over_the_same_patient_measures_at_once_and_asks_for_the_reference(returned):
     pipeline, camera = returned
     model = pipeline.learner.status.model
     states = [pipeline.measure(next(camera)).state for _ in range(3)]
@@ -55,7 +55,7 @@ def test_the_same_camera_over_the_same_patient_measures_at_once_and_asks_for_the
     assert pipeline.learner.status.has_reference
 
 
-def test_motion_counts_from_the_zero_that_was_set_after_the_return_alone(returned, frames):
+def test_motion_counts_from_the_reference_that_was_set_after_the_return_alone(returned, frames):
     pipeline, camera = returned
     lower = Played(
         [small_scene.frame(shown.index, edit=lambda depth: np.add(depth, 8, out=depth)) for shown in frames[:60]]

@@ -70,7 +70,7 @@ def test_the_whole_signal_steps_by_less_than_0_05_mm_at_a_swap_of_a_steady_phant
     assert np.abs(steps).max() < 0.05
 
 
-def test_a_sheet_that_lies_on_the_patient_is_not_learned_behind_the_zero_s_back(learned, frames):
+def test_a_sheet_that_lies_on_the_patient_is_not_learned_behind_the_reference_s_back(learned, frames):
     pipeline, camera = measuring(learned, frames)
     first = pipeline.learner.status.model
     covered = []

@@ -244,7 +244,7 @@ def test_a_window_from_above_is_timed_as_well(phantom):
     assert found["duty_cycle_change_percent"] == pytest.approx(0.0, abs=0.6)
 
 
-def test_frames_that_give_no_motion_are_counted_after_the_zero_only(phantom):
+def test_frames_that_give_no_motion_are_counted_after_the_reference_only(phantom):
     given, frames = watched(phantom, lost=range(1000, 1050))
     after = sum(frame.measurement.state is not MeasurementState.TRAINING for frame in frames)
     assert values(given, frames)["motion_lost_percent"] == pytest.approx(100.0 * 50 / after)

@@ -212,8 +212,8 @@ class RecordingPipeline:
         self._change("set_reference")
         self.zero_number += 1
 
-    def retrain(self, *, keeps_zero: bool = True) -> None:
-        self.calls.append("retrain" if keeps_zero else "retrain without zero")
+    def retrain(self, *, keeps_reference: bool = True) -> None:
+        self.calls.append("retrain" if keeps_reference else "retrain without zero")
 
     def keep_model(self, *, is_kept: bool) -> None:
         self.was_kept.append(is_kept)

@@ -125,7 +125,7 @@ def test_a_refused_apply_shows_why(fake: FakeService, tab: Tab):
     expect(page.locator("#outcome")).to_have_text("Apply: no new model waits to be applied")
 
 
-def test_learning_again_keeps_the_zero_unless_told_otherwise_and_only_once(fake: FakeService, tab: Tab):
+def test_learning_again_keeps_the_reference_unless_told_otherwise_and_only_once(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
     for keeps in (True, False):
@@ -157,7 +157,7 @@ def test_a_refused_model_is_read_while_the_present_one_measures_on(fake: FakeSer
     expect(page.locator("#do-retrain")).to_be_enabled()
 
 
-def test_a_session_without_a_zero_asks_for_the_reference(fake: FakeService, tab: Tab):
+def test_a_session_without_a_reference_asks_for_the_reference(fake: FakeService, tab: Tab):
     fake.sessions = [detail(has_reference=False)]
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
@@ -190,7 +190,7 @@ def test_what_is_proposed_is_shown_before_it_is_confirmed(fake: FakeService, tab
     assert calls_to(fake, "reference") == [{"operator": "A. Therapist", "at": "now", "reason": "breath hold"}]
 
 
-def test_a_first_zero_that_sets_itself_is_not_asked_for(fake: FakeService, tab: Tab):
+def test_a_first_reference_that_sets_itself_is_not_asked_for(fake: FakeService, tab: Tab):
     """Read while it still learned, and not yet again."""
     fake.sessions = [detail(has_reference=False, measurement_state="training")]
     fake.mode, fake.sample = "samples", DISARMED

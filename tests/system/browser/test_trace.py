@@ -102,7 +102,7 @@ def point_at(page: Page, from_right_px: float) -> None:
 
 
 @pytest.mark.parametrize("count", [300, 30_000], ids=["few samples", "many samples a pixel"])
-def test_no_line_crosses_a_gap_or_a_new_zero(fake: FakeService, tab: Tab, count: int):
+def test_no_line_crosses_a_gap_or_a_new_reference(fake: FakeService, tab: Tab, count: int):
     page = tab.open("idle")
     half = count // 2
     gap = page.evaluate(CHART, [count, half, half + count // 10, "gap"])

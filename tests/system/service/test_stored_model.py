@@ -65,7 +65,7 @@ def refused_arming(client, session_id):
     return refused
 
 
-def test_the_second_fraction_begins_with_the_first_one_s_model_and_a_zero_set_by_a_person(client, regular_volunteer):
+def test_the_second_fraction_begins_with_the_first_one_s_model_and_a_person_s_reference(client, regular_volunteer):
     calibration_text = (regular_volunteer / "calibration.json").read_bytes()
     model = first_fraction(client, calibration_text)
     assert model["quality"]["amplitude_mm"] > 4.0

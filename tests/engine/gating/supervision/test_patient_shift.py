@@ -137,7 +137,7 @@ def test_a_camera_that_hangs_at_an_angle_sees_the_same_shift():
     assert moved.turn_deg == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_position_is_taken_anew_when_the_zero_is_and_not_before():
+def test_the_position_is_taken_anew_when_the_reference_is_and_not_before():
     scene = scene_of("shift", 2)
     before, after = seen(markers_mm(scene, 0.0)), seen(markers_mm(scene, 59.0))
     watched = shift_from(markers_mm(scene, 0.0))

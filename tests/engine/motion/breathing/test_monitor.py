@@ -144,7 +144,7 @@ def test_quantised_breathing_is_followed_as_well():
 
 
 @pytest.mark.parametrize("share", [0.15, 0.55, 0.9], ids=["in", "out", "rest"])
-def test_another_zero_is_no_event_and_keeps_the_phase(share):
+def test_another_reference_is_no_event_and_keeps_the_phase(share):
     at, value, _ = regular(60.0)
     cut = round((40.0 + 4.0 * share) * 30)
     state = start_breathing(SignalChoice())
@@ -157,7 +157,7 @@ def test_another_zero_is_no_event_and_keeps_the_phase(share):
     assert reported[-1].baseline == pytest.approx(-25.0, abs=0.3)
 
 
-def test_a_zero_that_is_set_twice_in_a_second_is_no_cough():
+def test_a_reference_that_is_set_twice_in_a_second_is_no_cough():
     at, value, _ = regular(44.0)
     state, reported = start_breathing(SignalChoice()), []
     for seconds, one in zip(at.tolist(), value.tolist(), strict=True):

@@ -40,7 +40,7 @@ def test_the_range_is_what_the_patient_goes_on_to_breathe_over(learned, choice):
     assert found.high == pytest.approx(high, abs=0.08 * span)
 
 
-def test_a_zero_elsewhere_moves_the_range_and_does_not_stretch_it(learned):
+def test_a_reference_elsewhere_moves_the_range_and_does_not_stretch_it(learned):
     active, reference, _ = learned
     before = learned_ranges(active, reference, [WHOLE])[WHOLE]
     moved = replace(reference, regions_mm=reference.regions_mm + 3.0)

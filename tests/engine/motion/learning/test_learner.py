@@ -109,14 +109,14 @@ def test_a_swap_steps_no_region_and_no_volume_of_a_steady_surface(patient):
     assert step[-1] < 0.0005
 
 
-def test_a_zero_that_is_carried_over_is_the_same_zero_and_one_that_is_set_another(patient):
+def test_a_reference_that_is_carried_over_is_the_same_reference_and_one_that_is_set_another(patient):
     assert patient.learner.status.reference_number == 1
     retrain(patient)
     assert patient.learner.status.reference_number == 1
     patient.learner.set_reference()
     patient.see()
     assert patient.learner.status.reference_number == 2
-    retrain(patient, keeps_zero=False)
+    retrain(patient, keeps_reference=False)
     patient.see()
     assert patient.learner.status.reference_number == 3
 
@@ -132,7 +132,7 @@ def test_without_carrying_over_the_new_model_would_step(patient):
     assert carry.correction_mm == pytest.approx(0.25, abs=0.05)
 
 
-def test_a_place_unseen_while_the_zero_is_carried_over_is_unseen_in_the_zero(patient):
+def test_a_place_unseen_while_the_reference_is_carried_over_is_unseen_in_the_reference(patient):
     before = patient.learner.active
     seen_then = patient.reference().seen_shares
     assert seen_then.min() == 1.0
@@ -173,7 +173,7 @@ def test_the_sign_does_not_flip_over_retrainings(patient):
     assert deep[patient.whole] - rest[patient.whole] > 4.0
 
 
-def test_zero_does_not_walk_over_twenty_retrainings_of_a_steady_patient(learned):
+def test_the_reference_does_not_walk_over_twenty_retrainings_of_a_steady_patient(learned):
     patient = hurried(learned)
     before = steady_mm(patient)
     while len(patient.reported(LearningEventKind.SWAPPED)) < 21:
@@ -185,7 +185,7 @@ def test_zero_does_not_walk_over_twenty_retrainings_of_a_steady_patient(learned)
     assert abs(after - before)[-1] < 0.003
 
 
-def test_zero_does_not_follow_a_patient_who_drifts(learned):
+def test_the_reference_does_not_follow_a_patient_who_drifts(learned):
     """Ten millimetres away from the camera through retrainings all the way: all of it has to show."""
     patient = hurried(learned)
     while patient.index < 500:
@@ -197,7 +197,7 @@ def test_zero_does_not_follow_a_patient_who_drifts(learned):
     assert seen[patient.whole] == pytest.approx(-drift_mm, abs=0.15)
 
 
-def test_a_zero_that_was_set_again_meanwhile_is_the_one_that_is_carried_over(patient):
+def test_a_reference_that_was_set_again_meanwhile_is_the_one_that_is_carried_over(patient):
     first = patient.learner.active
     patient.learner.retrain()
     for _ in range(40):
@@ -232,7 +232,7 @@ def test_a_model_that_disagrees_on_where_the_patient_is_is_refused_and_the_prese
     assert patient.learner.status.has_reference
 
 
-def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silently(patient):
+def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_reference_silently(patient):
     first = patient.learner.active
     patient.learner.retrain()
     other = 25.0 * np.cos(np.linspace(0.0, 9.0 * np.pi, BELLY.shape[1]))
@@ -240,7 +240,7 @@ def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silent
     assert patient.reported(LearningEventKind.REFUSED)[0].figures["field"] == "carry.frames"
     assert "without keeping the reference" in patient.learner.models.progress.note
     assert patient.learner.active is first
-    patient.learner.retrain(keeps_zero=False)
+    patient.learner.retrain(keeps_reference=False)
     patient.see_until(lambda: patient.learner.active is not first, shape=other)
     patient.see(shape=other)
     assert not patient.learner.status.has_reference
@@ -386,7 +386,7 @@ def test_no_frame_waits_for_the_trainer_s_thread(learned):
     assert len(patient.reported(LearningEventKind.SWAPPED)) == 2
 
 
-def test_every_swap_tells_both_zeros_and_the_correction(patient):
+def test_every_swap_tells_both_references_and_the_correction(patient):
     retrain(patient)
     ready, swapped = (
         patient.reported(LearningEventKind.READY)[0].figures,
@@ -435,7 +435,7 @@ def test_a_stored_model_measures_at_once_but_arming_is_refused_until_it_was_comp
     assert patient.reported(LearningEventKind.COMPARED)[0].figures["is_accepted"]
 
 
-def test_the_zero_of_another_fraction_is_not_taken_over_a_person_sets_it(learned):
+def test_the_reference_of_another_fraction_is_not_taken_over_a_person_sets_it(learned):
     patient = resumed(learned)
     assert patient.see() is not None
     assert not patient.learner.status.has_reference
@@ -446,7 +446,7 @@ def test_the_zero_of_another_fraction_is_not_taken_over_a_person_sets_it(learned
     assert patient.learner.status.has_reference
 
 
-def test_a_retraining_before_the_zero_was_set_does_not_set_it(learned):
+def test_a_retraining_before_the_reference_was_set_does_not_set_it(learned):
     patient = resumed(learned)
     retrain(patient)
     patient.see()

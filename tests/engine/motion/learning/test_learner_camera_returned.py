@@ -28,7 +28,7 @@ def patient(learned):
     return patient
 
 
-def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a_person_has_set_the_zero(patient):
+def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a_person_has_set_the_reference(patient):
     active, generation = patient.learner.active, patient.learner.journal.generation
     patient.learner.restart_after_disconnection()
     assert patient.learner.journal.generation > generation, "what was armed is armed no more"
@@ -53,7 +53,7 @@ def test_what_an_earlier_comparison_said_is_said_no_more(patient):
     assert patient.learner.status.patient_match is None
 
 
-def test_a_zero_that_was_just_wanted_is_not_set_by_the_camera_s_return(patient):
+def test_a_reference_that_was_just_wanted_is_not_set_by_the_camera_s_return(patient):
     patient.learner.set_reference()
     patient.learner.restart_after_disconnection()
     patient.see()

@@ -255,7 +255,7 @@ def test_only_a_first_fit_looks_for_breaths():
     patient.learn()
     assert patient.learner.positions.levels_from is not None
     patient.learner.positions.move_levels(*_still(patient))
-    patient.learner.retrain(keeps_zero=False)
+    patient.learner.retrain(keeps_reference=False)
     generation = patient.learner.journal.generation
     patient.see_until(lambda: patient.learner.journal.generation != generation)
     assert patient.learner.positions.levels_from is None

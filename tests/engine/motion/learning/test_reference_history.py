@@ -178,7 +178,7 @@ def test_after_a_restart_the_first_reference_of_the_fraction_still_counts(confir
 
 def test_another_model_measures_the_same_distance(session):
     generation = session.pipeline.learner.journal.generation
-    session.pipeline.learner.retrain(keeps_zero=False)
+    session.pipeline.learner.retrain(keeps_reference=False)
     while session.pipeline.learner.journal.generation == generation:
         session.measure(1)
     session.measure(SETTLED)

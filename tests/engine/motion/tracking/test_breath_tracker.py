@@ -39,7 +39,7 @@ def test_breaths_come_with_measured_frames_one_a_signal_in_order(frames):
 
 
 @pytest.mark.parametrize("more", [1, 45, 90], ids=["low", "rising", "falling"])
-def test_a_zero_that_a_person_sets_is_neither_drift_nor_cough_and_keeps_the_phase(patient, more):
+def test_a_reference_that_a_person_sets_is_neither_drift_nor_cough_and_keeps_the_phase(patient, more):
     before = patient.measure(more)[-1]
     patient.pipeline.learner.set_reference()
     after = patient.measure(300)

@@ -51,7 +51,7 @@ def test_after_something_lay_in_the_view_only_the_same_shape_is_believed(continu
     assert not continuity.rejection(seen(REST_MM - 8.0 * BREATH[0], 31), BREATH, NOISE_MM)
 
 
-def test_a_person_who_sets_the_zero_or_a_new_model_is_believed(continuity):
+def test_a_person_who_sets_the_reference_or_a_new_model_is_believed(continuity):
     assert continuity.rejection(seen(sheet(4.0), 1), BREATH, NOISE_MM)
     continuity.restart(1)
     assert continuity.rejection(seen(sheet(4.0), 2), BREATH, NOISE_MM)
@@ -151,7 +151,7 @@ def test_a_patient_who_moved_does_not_come_back_to_where_they_lay():
     assert continuity.rejection(seen(REST_MM, frame + 2, moved_px=8.0), BREATH, NOISE_MM)
 
 
-def test_the_calm_of_another_zero_is_nothing_to_come_back_to():
+def test_the_calm_of_another_reference_is_nothing_to_come_back_to():
     continuity, frame = calm()
     continuity.restart(2)
     assert not continuity.rejection(seen(sheet(9.0), frame), BREATH, NOISE_MM)

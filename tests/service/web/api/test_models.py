@@ -57,18 +57,18 @@ def created(client, calibration_id, model_id, **changes):
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_retraining_says_whether_the_zero_is_kept_and_is_audited(client, session_id, running, keeps):
+def test_retraining_says_whether_the_reference_is_kept_and_is_audited(client, session_id, running, keeps):
     body = {"operator": "A. Physicist", "keeps_reference": keeps}
     assert client.post(f"/api/v1/sessions/{session_id}/models/retrain", json=body).status_code == 202
-    assert running.commands == [Retrain(operator="A. Physicist", keeps_zero=keeps)]
+    assert running.commands == [Retrain(operator="A. Physicist", keeps_reference=keeps)]
     rows = audit_rows(client, "model.retrain")
     assert [row["outcome"] for row in rows] == ["requested", "done"]
     assert rows[-1]["detail"] == {"keeps_reference": keeps}
 
 
-def test_retraining_keeps_the_zero_unless_requested_otherwise(client, session_id, running):
+def test_retraining_keeps_the_reference_unless_requested_otherwise(client, session_id, running):
     act(client, session_id, "models/retrain")
-    assert running.commands[0].keeps_zero
+    assert running.commands[0].keeps_reference
 
 
 def test_a_waiting_model_is_applied_by_a_named_person_and_a_refusal_is_audited(client, session_id, running):
@@ -237,7 +237,7 @@ def test_a_model_whose_file_is_not_what_the_table_says_does_not_start_a_session(
     assert len(engine.opened) == opened
 
 
-def test_the_session_tells_how_far_the_patient_is_from_the_model_and_whether_there_is_a_zero(
+def test_the_session_tells_how_far_the_patient_is_from_the_model_and_whether_there_is_a_reference(
     client, session_id, running
 ):
     running.frame()
