@@ -124,7 +124,7 @@ class CommandHandler:
             case SetReference():
                 self._set_reference(command)
             case Retrain():
-                self._learner.retrain(keeps_reference=command.keeps_reference)
+                self._learner.retrain(keeps_reference=command.keeps_zero)
             case ApplyModel():
                 self._apply_model(command)
             case ActivateModel():

@@ -109,12 +109,12 @@ class Countersign:
 class Retrain:
     """Collect frames and train a new model in the background; it becomes active while the gate is not armed.
 
-    The reference is transferred, or the new model is refused; with ``keeps_reference`` false it is dropped, and arming
-    is refused until it is set again.
+    The reference is transferred, or the new model is refused; with ``keeps_zero`` false it is dropped, and arming is
+    refused until it is set again. Tapes keep the name of that field.
     """
 
     operator: str
-    keeps_reference: bool = True
+    keeps_zero: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

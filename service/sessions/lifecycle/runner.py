@@ -281,7 +281,7 @@ class SessionRunner:
 
     def retrain(self, session_id: str, operator: str, *, keeps_reference: bool) -> sessions.SessionDetail:
         """Train a new model in the background."""
-        command = Retrain(operator=operator, keeps_reference=keeps_reference)
+        command = Retrain(operator=operator, keeps_zero=keeps_reference)
         self._commander.execute(session_id, command, operator, "model.retrain", {"keeps_reference": keeps_reference})
         return self._records.detail(session_id)
 

@@ -69,7 +69,7 @@ def test_after_a_model_was_applied_the_gate_has_to_be_armed_anew():
 @pytest.mark.parametrize(("keeps_reference", "call"), [(True, "retrain"), (False, "retrain without zero")])
 def test_whether_the_reference_is_kept_reaches_the_pipeline(keeps_reference, call):
     bench = Bench([good] * 3)
-    bench.source.script += [after(bench.ask(Retrain(operator=OPERATOR, keeps_reference=keeps_reference))), good]
+    bench.source.script += [after(bench.ask(Retrain(operator=OPERATOR, keeps_zero=keeps_reference))), good]
     bench.run()
     assert bench.pipeline.calls == [call]
 

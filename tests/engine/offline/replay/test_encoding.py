@@ -49,7 +49,7 @@ VALUES = (
     7,
     1e-17,
     "words",
-    [Arm(operator="A"), Retrain(operator="B", keeps_reference=False), CorrectBaseline(operator="C", by=-0.1)],
+    [Arm(operator="A"), Retrain(operator="B", keeps_zero=False), CorrectBaseline(operator="C", by=-0.1)],
     *(
         SetWindow(operator="D", window=one, dwell_ms=120.5, min_on_ms=0.0, min_off_ms=1.0, max_cycles_per_min=9)
         for one in WINDOWS

@@ -55,7 +55,7 @@ def busy(tmp_path):
         *(good for _ in range(3)),
         ask(Acknowledge(operator="B")),
         ask(SetReference(operator="B")),
-        ask(Retrain(operator="B", keeps_reference=False)),
+        ask(Retrain(operator="B", keeps_zero=False)),
         ask(CorrectBaseline(operator="B", by=0.25)),
         ask(ANOTHER_WINDOW),
         ask(ARM),

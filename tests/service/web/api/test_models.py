@@ -60,7 +60,7 @@ def created(client, calibration_id, model_id, **changes):
 def test_retraining_says_whether_the_reference_is_kept_and_is_audited(client, session_id, running, keeps):
     body = {"operator": "A. Physicist", "keeps_reference": keeps}
     assert client.post(f"/api/v1/sessions/{session_id}/models/retrain", json=body).status_code == 202
-    assert running.commands == [Retrain(operator="A. Physicist", keeps_reference=keeps)]
+    assert running.commands == [Retrain(operator="A. Physicist", keeps_zero=keeps)]
     rows = audit_rows(client, "model.retrain")
     assert [row["outcome"] for row in rows] == ["requested", "done"]
     assert rows[-1]["detail"] == {"keeps_reference": keeps}
@@ -68,7 +68,7 @@ def test_retraining_says_whether_the_reference_is_kept_and_is_audited(client, se
 
 def test_retraining_keeps_the_reference_unless_requested_otherwise(client, session_id, running):
     act(client, session_id, "models/retrain")
-    assert running.commands[0].keeps_reference
+    assert running.commands[0].keeps_zero
 
 
 def test_a_waiting_model_is_applied_by_a_named_person_and_a_refusal_is_audited(client, session_id, running):
