@@ -114,7 +114,10 @@ class _Reference:
 
 
 class CrossCheck:
-    """Follows surface, colour and scene; owned by the pipeline's thread."""
+    """Follows surface, colour and scene; owned by the pipeline's thread.
+
+    ``shapes`` are the shapes of breathing learned with the model in use, if any.
+    """
 
     def __init__(self, calibration: Calibration) -> None:
         self._depth_from_color = calibration.color_from_depth.inverse
@@ -122,7 +125,7 @@ class CrossCheck:
         self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
         self._gathered_mm = np.empty((MOST_SURFACES, CELLS))
         self._gathered = self._gathered_total = 0
-        self._shapes: BreathingShapes | None = None
+        self.shapes: BreathingShapes | None = None
         self._model: MotionModel | None = None
         self._reference: _Reference | None = None
         self._disagreements: dict[str, Lost] = {}
@@ -143,14 +146,9 @@ class CrossCheck:
         for number, one in enumerate(self._recent):
             self._recent[number] = one._replace(scene_mm=_UNKNOWN_MM)  # against the scene of before
 
-    @property
-    def shapes(self) -> BreathingShapes | None:
-        """The shapes of breathing learned with the model in use."""
-        return self._shapes
-
     def use(self, learned: tuple[MotionModel | None, BreathingShapes | None]) -> None:
         """Use what an earlier pass over the same recording has learned."""
-        self._model, self._shapes = learned
+        self._model, self.shapes = learned
 
     def gather(self) -> None:
         """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
@@ -219,10 +217,10 @@ class CrossCheck:
     def _learn_shapes(self, model: MotionModel, ahead: LearnedShapes | None) -> None:
         """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
         gathered = self.gathered
-        if gathered is not None or self._shapes is None:
+        if gathered is not None or self.shapes is None:
             if ahead is None or ahead.total != self._gathered_total:
                 ahead = None if gathered is None else gathered.learn()
-            self._shapes = (None if ahead is None else ahead.shapes) or shapes_of(model)
+            self.shapes = (None if ahead is None else ahead.shapes) or shapes_of(model)
         self._model = model
         self._gathered = 0
 
@@ -290,11 +288,11 @@ class CrossCheck:
     def _surface_change(self, reference: _Reference, cells_mm: FloatArray) -> SurfaceChange | None:
         """Return how the surface has changed since the reference; None where too little of it is seen."""
         is_seen = np.count_nonzero(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
-        return self._shapes.change(reference.cells_mm, cells_mm) if self._shapes is not None and is_seen else None
+        return self.shapes.change(reference.cells_mm, cells_mm) if self.shapes is not None and is_seen else None
 
     def _surface_changed(self, change: SurfaceChange | None) -> Lost | None:
         """Compare the surface's change with breathing and a rigid movement, which becomes the patient's position."""
-        shapes = self._shapes
+        shapes = self.shapes
         if shapes is None or change is None:
             return self._disagreements.get("surface")
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
