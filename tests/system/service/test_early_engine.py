@@ -73,7 +73,7 @@ from service.engine_host.process import process_engine
 class Asked:
     def __init__(self, settings):
         found = sorted({"fastapi", "sqlalchemy", "alembic", "uvicorn"} & set(sys.modules))
-        sys.stderr.write(f"loaded {found}\n")  # in one piece: a thread writes the log there, too
+        sys.stderr.write(f"loaded {found}\\n")  # in one piece: a thread writes the log there, too
         sys.stderr.flush()
         raise SystemExit(7)
 
