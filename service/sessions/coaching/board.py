@@ -132,7 +132,7 @@ def _is_shown(live: LiveFrame, settings: Coaching) -> bool:
 
 def _followed(rest: _Rest, view: LiveView) -> _Rest:
     """Follow the breath hold from frame to frame: rest begins where a hold that had settled is over."""
-    state, measurement = guided_by(view).state, view.record.measurement
+    state, measurement = guided_by(view).state, view.record.measurement.as_gated
     if state is None or measurement.motion is None:
         return rest
     if state.stage in ENDED_STAGES:

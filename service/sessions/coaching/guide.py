@@ -81,7 +81,7 @@ def edges_of(window: AmplitudeWindow) -> Span | None:
 
 def guide_frame(view: LiveView, learned: LearnedRange | None, settings: Coaching, *, is_resting: bool) -> GuideFrame:
     """Return the guidance of a frame; without a level where the frame was not measured, or nothing gives a scale."""
-    motion = view.record.measurement.motion
+    motion = view.record.measurement.as_gated.motion
     if view.record.hold_reason not in FOLLOWED | FREE:
         return NOT_MEASURED
     guided = guided_by(view)

@@ -48,9 +48,10 @@ def live_window(
 
 def _is_inside(leaf: Condition, state: ConditionState, measurement: Measurement | None) -> bool:
     """Evaluate one condition for the frame: the gate keeps only the result of all conditions together."""
-    if measurement is None or measurement.motion is None:
+    gated = None if measurement is None else measurement.as_gated
+    if gated is None or gated.motion is None:
         return False
-    sight = WindowInput(measurement.motion, measurement.breaths, measurement.timestamp_us)
+    sight = WindowInput(gated.motion, gated.breaths, gated.timestamp_us)
     return leaf.judge(sight, (state,)).is_inside
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from engine.core.commands import Arm
+from engine.core.frames import Lost, LostReason
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow, PhaseWindow
 from service.core.schemas.coach_messages import LONGEST_COUNTDOWN_S
@@ -105,6 +106,13 @@ def test_no_reason_that_doubts_the_frame_is_followed():
 
 def test_a_frame_without_a_measurement_has_no_level_and_no_word():
     assert seen(HOLD, None, HoldStage.AWAITED) == NOT_MEASURED
+
+
+def test_a_doubted_frame_is_not_shown_either_while_the_gate_is_disarmed():
+    view = GuidedPatient(HOLD).frame(16.0, HoldStage.HELD).status.view
+    doubted = replace(view.record.measurement, doubt=Lost(reason=LostReason.CAMERA_MOVED, detail="the couch has moved"))
+    record = replace(view.record, hold_reason=HoldReason.DISARMED, measurement=doubted)
+    assert guide_frame(replace(view, record=record), LEARNED, Coaching(), is_resting=False) == NOT_MEASURED
 
 
 def test_the_scale_shows_breath_and_band_with_room_beyond():
