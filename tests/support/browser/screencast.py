@@ -17,6 +17,7 @@ HANG = """setTimeout(() => {
   call.open('GET', '/hang', false);
   call.send();
 }, 0)"""
+RESTART_S = 1.0
 Share = Callable[[npt.NDArray[np.int_]], float]
 
 
@@ -29,12 +30,18 @@ class Screencast:
         self._session = tab.page.context.new_cdp_session(tab.page)
         self._unanswered: list[int] = []
         self._newest = b""
+        self._came_s = time.monotonic()
         self._session.on("Page.screencastFrame", self._keep)
+        self._start()
+
+    def _start(self) -> None:
+        self._came_s = time.monotonic()
         self._session.send("Page.startScreencast", {"format": "png", "everyNthFrame": 1})
 
     def _keep(self, event: dict[str, object]) -> None:
         self._newest = base64.b64decode(str(event["data"]))
         self._unanswered.append(int(str(event["sessionId"])))
+        self._came_s = time.monotonic()
 
     def await_share(self, is_so: Callable[[float], bool], detail: str) -> None:
         """Wait until the share is so."""
@@ -47,7 +54,14 @@ class Screencast:
             self._goes_on()
 
     def _goes_on(self) -> bool:
-        """Let the next pictures come; return whether there was one."""
+        """Let the next pictures come; return whether there was one.
+
+        The browser drops a picture that comes before the last one is acknowledged. Where that was the last change, no
+        further picture follows: the screencast is begun anew then, which sends the present one.
+        """
+        if time.monotonic() - self._came_s > RESTART_S:
+            self._session.send("Page.stopScreencast")
+            self._start()
         while self._unanswered:
             self._session.send("Page.screencastFrameAck", {"sessionId": self._unanswered.pop()})
         self._page.wait_for_timeout(20)
