@@ -91,6 +91,12 @@ class Tab:
         """Wait until no call of the tab is under way."""
         self.await_that(lambda: self.page.evaluate("traffic.inFlight") == 0, "a call is not answered")
 
+    def open_setup(self) -> None:
+        """Open the set-up, unless the page did by itself on its first look at the sessions."""
+        self.is_answered()
+        if self.page.locator("#setup").is_hidden():
+            self.page.click("#do-setup")
+
     def draws(self, fake: FakeService, messages: int = 3) -> None:
         """Wait until the tab has received so many newer messages and drawn them."""
         wanted = fake.sent + messages

@@ -28,7 +28,7 @@ def test_markup_in_any_text_of_the_controller_is_only_text(fake: FakeService, ta
     lost = {"reason": "marker_lost", "detail": EVIL}
     fake.mode, fake.sample = "samples", sample(hold_reason=EVIL, hold_text=EVIL, state="lost", lost=lost)
     page = tab.open("hold")
-    page.click("#do-setup")
+    tab.open_setup()
     expect(page.locator("#who-patient")).to_have_text(EVIL)
     expect(page.locator("#gate-reason")).to_have_text(EVIL)
     expect(page.locator("#session-list strong").first).to_have_text(EVIL)
@@ -43,7 +43,7 @@ def test_markup_in_any_text_of_the_controller_is_only_text(fake: FakeService, ta
 def test_nothing_is_asked_of_anyone_else(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")
-    page.click("#do-setup")
+    tab.open_setup()
     tab.await_that(lambda: fake.pictures > 0, "no picture is asked for")
     tab.draws(fake)
     socket_url = tab.url.replace("http://", "ws://")
