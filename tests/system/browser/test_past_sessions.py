@@ -38,7 +38,7 @@ def test_while_a_session_runs_none_of_the_past_is_shown(fake: FakeService, tab: 
     fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False)
     fake.sessions[:] = [SESSION, OLDER]
     page = tab.open("disarmed")
-    page.click("#do-setup")
+    tab.open_setup()
     page.locator("#session-list .open").click()
     expect(page.locator("#setup-outcome")).to_contain_text("Not while a session runs")
     expect(page.locator("#report")).to_be_hidden()

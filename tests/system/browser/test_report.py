@@ -84,7 +84,7 @@ def test_an_interrupted_session_is_announced_before_anything_else(fake: FakeServ
 def test_an_open_set_up_gives_way_to_an_interruption_and_to_the_end_of_what_ran_here(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")
-    page.click("#do-setup")
+    tab.open_setup()
     fake.mode, fake.sessions[:] = "idle", [over()]
     expect(page.locator(HEADING)).to_have_text("Summary: P-0117")
     expect(page.locator("#setup")).to_be_hidden()

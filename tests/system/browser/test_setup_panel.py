@@ -102,7 +102,7 @@ def test_a_missing_calibration_is_said_and_can_be_uploaded(fake: FakeService, ta
 def test_the_set_up_never_covers_the_gate_or_the_trace(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")
-    page.click("#do-setup")
+    tab.open_setup()
     panel = page.locator("#setup").bounding_box()
     assert panel is not None
     for name in ("#gate", ".panel.trace", "#do-disarm"):

@@ -42,7 +42,7 @@ def test_markup_in_any_text_of_the_controller_is_only_text(fake: FakeService, ta
 
 def test_nothing_is_asked_of_anyone_else(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
-    page = tab.open("hold")
+    tab.open("hold")
     tab.open_setup()
     tab.await_that(lambda: fake.pictures > 0, "no picture is asked for")
     tab.draws(fake)
