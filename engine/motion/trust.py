@@ -1,14 +1,7 @@
 """Whether the surface in the region can be trusted as this patient's skin: three checks beside the motion model."""
 
 from engine.calibration.camera_calibration import Calibration
-from engine.core.frames import (
-    FloatArray,
-    Lost,
-    LostReason,
-    Markers,
-    RgbdFrame,
-    RoiDepth,
-)
+from engine.core.frames import FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
@@ -18,8 +11,8 @@ from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceCo
 class SurfaceTrust:
     """The markers' layout, a second estimate of the surface, and its continuity; owned by one thread.
 
-    The loss that is displayed is the first of these three: a marker elsewhere explains the other two. The second
-    estimate has a life of its own (`second_estimate`): a training learns its shapes, a second pass takes them over.
+    The displayed loss is the first of these three, because a displaced marker explains the other two. The attribute
+    `second_estimate` is public: a training learns its shapes of breathing, and a second pass takes them over.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -51,7 +44,7 @@ class SurfaceTrust:
         Where the camera or the couch has moved too, that is named: it explains a surface that has changed. A movement
         alone is a doubt (`CrossCheck.doubt`): the surface is still this patient's skin.
 
-        ``position_generation`` counts the times a person accepted where the patient lies: all begins anew with it.
+        ``position_generation`` counts the references that a person has set; a new one resets layout and continuity.
         """
         self._layout.restart(position_generation)
         elsewhere = self._layout.lost(self._points_mm, self._timestamp_us)

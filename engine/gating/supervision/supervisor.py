@@ -225,11 +225,11 @@ class _FrameRate:
 
 
 MAX_OLD_MS = 100.0
-"""Most time of repeated pictures in a session, and since the last fault for it (AAPM TG-142: gating within 100 ms)."""
+"""Limit of the total time of repeated pictures, since the session or the last such fault (AAPM TG-142: 100 ms)."""
 
 
 class _OldPictures:
-    """Counts the time of repeated pictures: by as much every later picture may be older than its time says.
+    """Adds up the time of repeated pictures: later pictures may be older than their time stamps by that sum.
 
     A camera or driver whose queue grows repeats pictures and then delivers new ones late, each with the time of
     delivery. Nothing in a later picture shows that it has caught up, so the time is never forgotten.
@@ -250,7 +250,7 @@ class _OldPictures:
         old_ms = self._old_ns / NS_PER_MS
         if old_ms <= MAX_OLD_MS:
             return None
-        detail = f"pictures were repeated for {old_ms:.0f} ms, {MAX_OLD_MS:g} allowed: later ones may be as old"
+        detail = f"pictures were repeated for {old_ms:.0f} ms, {MAX_OLD_MS:g} allowed: later ones may be as late"
         return Interruption(HoldReason.FRAME_STALE, f"{detail}; {lost.detail}")
 
 

@@ -259,7 +259,7 @@ class CrossCheck:
             return None
         where = f"{moved_mm:.1f} mm from where"
         if self._scene.has_floor_moved is False:
-            detail = f"the couch is {where} it was at the reference, the floor is not: the couch has moved"
+            detail = f"the couch is {where} it was at the reference, the floor has not moved: the couch has moved"
         else:
             what = "camera or couch has moved" if self._scene.has_floor_moved is None else "the camera has moved"
             detail = f"couch and floor are {where} they were at the reference: {what}"

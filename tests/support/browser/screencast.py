@@ -57,7 +57,7 @@ class Screencast:
         """Let the next pictures come; return whether there was one.
 
         The browser drops a picture that comes before the last one is acknowledged. Where that was the last change, no
-        further picture follows: the screencast is begun anew then, which sends the present one.
+        further picture follows: restarting the screencast sends the present one.
         """
         if time.monotonic() - self._came_s > RESTART_S:
             self._session.send("Page.stopScreencast")

@@ -31,7 +31,7 @@ class Door:
         return str(next(self._tabs))
 
     def closed(self, number: str) -> None:
-        """Answer what still comes from this tab, and let it reach nobody."""
+        """Answer the remaining calls of this tab here."""
         self._closed.add(number.encode())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

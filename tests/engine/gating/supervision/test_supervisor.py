@@ -132,7 +132,7 @@ def test_every_repeated_picture_may_make_all_later_ones_older(new_between):
     first = 3 if new_between == 0 else 2  # the step before a session's first frame is not known
     assert [[one.reason for one in holds] for holds in found[: first + 1]] == [[]] * first + [[HoldReason.FRAME_STALE]]
     assert "100 ms" in found[first][0].detail
-    assert sum(map(len, found)) == (5 if new_between == 0 else 2), "a new picture after the fault begins the count anew"
+    assert sum(map(len, found)) == (5 if new_between == 0 else 2), "a new picture after the fault resets the sum"
 
 
 def test_the_markers_travel_is_that_of_the_last_ten_seconds():
