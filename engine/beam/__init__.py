@@ -21,7 +21,10 @@ from engine.beam.compared_line import (
     ComparedBeamLine,
 )
 from engine.beam.heartbeat_drill import (
+    DrilledReceiver,
     HeartbeatDrill,
+    OwnInput,
+    SecondInput,
     check_verifiable,
 )
 from engine.beam.line import (
@@ -31,11 +34,6 @@ from engine.beam.line import (
 from engine.beam.paired import (
     PairedBeamLine,
 )
-from engine.beam.second_input import (
-    DrilledReceiver,
-    OwnInput,
-    SecondInput,
-)
 from engine.beam.simulated import (
     ACCELERATOR_BOUNDS_MS,
     SimulatedAccelerator,
@@ -43,10 +41,8 @@ from engine.beam.simulated import (
     SimulatedReceiver,
 )
 from engine.beam.status.published_line import (
-    PublishedBeamLine,
-)
-from engine.beam.status.publisher import (
     HttpSender,
+    PublishedBeamLine,
     Sender,
     StatusPublisher,
     UdpSender,

@@ -4,8 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from engine.beam.deadman import DeadMan, Grant
+from engine.beam.heartbeat_drill import LEAST_REPEATS, RECEIVER_DROP_MS
 from engine.beam.line import TroubleListener, ignore_trouble
-from engine.beam.second_input import LEAST_REPEATS, RECEIVER_DROP_MS
 from engine.core.bounds import check_number
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import BeamLineError

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from engine.core.camera_view import CameraAdvice, CameraView
 from engine.core.frames import DepthImage, FloatArray, RgbdFrame
 from engine.core.geometry import Intrinsics
+from engine.core.position_check import CameraAdvice, CameraView
 
 PERIOD_NS = 1_000_000_000
 STEP_PX = 8

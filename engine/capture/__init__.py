@@ -3,15 +3,10 @@
 A source (:class:`DepthSource`) gives millimetres and host times, and loses no frame silently.
 """
 
-from engine.capture.checked_source import (
-    CheckedSource,
-)
-from engine.capture.oni.description import (
-    RecordingDescription,
-    StreamSummary,
-)
 from engine.capture.oni.reader import (
     OniReader,
+    RecordingDescription,
+    StreamSummary,
     describe,
 )
 from engine.capture.raw_recorder import (
@@ -19,6 +14,7 @@ from engine.capture.raw_recorder import (
     part_of,
 )
 from engine.capture.reconnecting import (
+    CheckedSource,
     ReturningSource,
 )
 from engine.capture.recording_source import (

@@ -5,6 +5,8 @@ camera that was switched off restarts its own. A camera that delivers nothing fo
 because a driver may not report a pulled cable. A different camera is not accepted.
 
 The search has a thread of its own, because drivers hang; the engine thread only polls its result.
+
+A camera that is checked by its description whenever it is opened: at the start, and when it returns.
 """
 
 import contextlib
@@ -232,3 +234,33 @@ class _Search:
         self._left = source
         with contextlib.suppress(Exception):
             source.close()
+
+
+class CheckedSource:
+    """A DepthSource that opens ``source`` and closes it again where ``check`` raises a TidegateError."""
+
+    def __init__(self, source: LiveSource, check: Callable[[SourceDescription], None]) -> None:
+        self._source, self._check = source, check
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no call hangs in the driver any more, after :meth:`close`."""
+        return self._source.is_free
+
+    def open(self) -> SourceDescription:
+        """Open and check the camera; raises what the check raises."""
+        described = self._source.open()
+        try:
+            self._check(described)
+        except TidegateError:
+            self._source.close()
+            raise
+        return described
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        """Return the next frame; see :class:`engine.capture.source.DepthSource`."""
+        return self._source.read(timeout_s)
+
+    def close(self) -> None:
+        """Close the camera."""
+        self._source.close()

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.capture import drivers
-from engine.capture.oni.description import RecordingDescription
-from engine.capture.oni.reader import describe
+from engine.capture.oni.reader import RecordingDescription, describe
 from engine.capture.oni.records import trim
 from engine.capture.source import LiveSource
 from engine.core.clock import Clock

@@ -22,7 +22,7 @@ from engine.capture.source import SourceDescription
 from engine.core.clock import NS_PER_S, NS_PER_US, Clock
 from engine.core.errors import FrameTimeoutError, RecordingError, SourceEndedError
 from engine.core.frames import ColorImage, DepthImage, RgbdFrame
-from engine.core.native_memory import keep_freed_memory
+from engine.core.native_process import keep_freed_memory
 
 # Depth frames held back at most while a colour frame is looked for: eight seconds, some 40 MB.
 MAX_LOOK_AHEAD = 256

@@ -7,12 +7,7 @@ recover what a killed engine left in its journal.
 from engine.control.command_queue import (
     MAX_WAIT_NS,
     URGENT,
-)
-from engine.control.commands import (
     Command,
-)
-from engine.control.engine_status import (
-    EngineStatus,
 )
 from engine.control.journal.format import (
     Entry,
@@ -28,6 +23,9 @@ from engine.control.journal.journal import (
     TransitionJournal,
     boot_id,
 )
+from engine.control.live_views import (
+    EngineStatus,
+)
 from engine.control.loop import (
     EngineLoop,
 )
@@ -37,7 +35,7 @@ from engine.control.outputs import (
     LiveView,
     LoopStatus,
 )
-from engine.control.position_state import (
+from engine.control.position_sign_off import (
     PositionState,
 )
 

@@ -1,22 +1,22 @@
 """Carries out operators' commands: check whether the command is allowed now, then the line, then the change itself.
 
 Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
+
+Follows the learner for the gate: a changed model disarms, and a window in per cent becomes one in mm.
 """
 
 from typing import NamedTuple
 
-from engine.control.arming_outlook import ArmingOutlook
-from engine.control.commands import Command
-from engine.control.countersignature import OTHER_STATE
-from engine.control.decisions import Cause
+from engine.control.arming_outlook import OTHER_STATE, ArmingOutlook
+from engine.control.beam_driver import LineOrders
+from engine.control.command_queue import Command
 from engine.control.gate_controller import GateController
-from engine.control.line_orders import LineOrders
-from engine.control.model_follower import ModelFollower
+from engine.control.outputs import Cause
 from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
-from engine.control.turn_inputs import CommandInputs
+from engine.control.turn_reader import CommandInputs
 from engine.core.breath import SignalChoice
 from engine.core.commands import (
     Acknowledge,
@@ -34,13 +34,46 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError, ReasonMissingError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
+from engine.gating.active_window import SetWindow
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
-from engine.gating.window_change import SetWindow
 from engine.gating.windows import AmplitudeWindow
+
+
+class ModelFollower:
+    """Remembers with which model the gate was armed, and for which reference the window was resolved."""
+
+    def __init__(self, learner: Learner, limits: SessionLimits) -> None:
+        self._learner, self._limits = learner, limits
+        self._generation = learner.status.model_generation
+        self._resolved_for: int | None = None
+
+    def has_changed(self) -> bool:
+        """Whether the model or the reference has changed since the last call."""
+        before, self._generation = self._generation, self._learner.status.model_generation
+        return before != self._generation
+
+    def resolve_window(self) -> None:
+        """Resolve a window in per cent into mm, once for each reference that is set.
+
+        Another model with the same reference has another learned range, of where the patient lies now: a window that
+        took it over would follow a drift that no person has confirmed.
+        """
+        reference = self._learner.status.reference_number
+        if self._resolved_for == reference or not self._limits.prescribed_window.needs_ranges:
+            return
+        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
+        self._limits.resolve_window(ranges)
+        if ranges:
+            self._resolved_for = reference
+
+    def resolve_again(self) -> None:
+        """Resolve another window with the next frame: by then a range may be known."""
+        self._resolved_for = None
+
 
 LEVEL_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""

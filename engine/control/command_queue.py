@@ -3,6 +3,8 @@
 Bounded; no thread waits for it. A disarm or a hold by hand is never refused, overtakes everything, and cancels every
 arming or release that was submitted before it, even one that arrives later. Any other command that waited too long is
 refused, because its caller no longer waits for it.
+
+Every command that the engine carries out.
 """
 
 import threading
@@ -10,12 +12,42 @@ from collections import deque
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from engine.control.commands import Command
 from engine.core.clock import NS_PER_MS, Clock
-from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam
+from engine.core.commands import (
+    Acknowledge,
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    CorrectBaseline,
+    Countersign,
+    Disarm,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+    SignPosition,
+)
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import HoldReason
+from engine.gating.active_window import SetWindow
 from engine.gating.gate import Interruption
+
+Command = (
+    Arm
+    | Disarm
+    | Acknowledge
+    | SetReference
+    | SignPosition
+    | Countersign
+    | Retrain
+    | ApplyModel
+    | ActivateModel
+    | HoldBeam
+    | ReleaseBeam
+    | CorrectBaseline
+    | SetWindow
+)
+
 
 MAX_WAIT_NS = 1_000 * NS_PER_MS
 

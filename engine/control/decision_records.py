@@ -7,10 +7,9 @@ nothing here can change a decision.
 import threading
 
 from engine.control.beam_driver import LineReport
-from engine.control.decisions import Decision
 from engine.control.live_views import LiveViews
 from engine.control.output_queues import OutputQueues
-from engine.control.outputs import FrameRecord, GateTransition
+from engine.control.outputs import Decision, FrameRecord, GateTransition
 from engine.control.session_limits import SessionLimits
 from engine.core.clock import Clock
 from engine.core.frames import Measurement

@@ -6,10 +6,9 @@ The interlocks are part of every decision, before and after its events.
 
 import math
 
-from engine.control.beam_driver import BeamDriver, LineReport
+from engine.control.beam_driver import BeamDriver, LineOrders, LineReport
 from engine.control.decision_records import DecisionRecords
-from engine.control.decisions import Cause, Decision
-from engine.control.line_orders import LineOrders
+from engine.control.outputs import Cause, Decision
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
@@ -19,13 +18,11 @@ from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam,
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import LostReason, Measurement, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.ranges import Ranges
-from engine.core.signals import signal_of
-from engine.gating.active_window import window_text
+from engine.core.signals import Ranges, signal_of
+from engine.gating.active_window import SetWindow, window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.gating.interlocks import WATCHDOG_DETAIL, DecisionInputs, interlocks
-from engine.gating.window_change import SetWindow
 
 DOUBTED = {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}
 """Losses of a frame in which patient and markers are seen, and the surface is not believed."""

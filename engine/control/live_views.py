@@ -1,27 +1,31 @@
 """The newest view of a running engine: written by the engine thread, read by any other.
 
 A view is a frozen value that is replaced whole. A view that a hung engine left behind is shown as a fault.
+The engine's status is another such value: what is known between two frames.
 """
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
-from engine.control.decisions import Decision
+from engine.control.arming_outlook import CountersignatureState
 from engine.control.output_queues import OutputQueues
-from engine.control.outputs import FrameRecord, LatencySummary, LiveView, LoopStatus
-from engine.control.position_state import PositionState
+from engine.control.outputs import Decision, FrameRecord, LatencySummary, LiveView, LoopStatus
+from engine.control.position_sign_off import PositionState
 from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
-from engine.core.camera_view import CameraView
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.reference_distance import ReferenceDistance
+from engine.core.learning_status import LearningStatus
+from engine.core.position_check import CameraView
+from engine.core.reference import ReferenceDistance
 from engine.core.replacing import replace
+from engine.core.signals import Ranges
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.checks import CheckState
@@ -223,3 +227,48 @@ class LiveViews:
             camera_view=self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EngineStatus:
+    """The state of an engine at the end of its last turn, or at its last answer to a command.
+
+    Attributes
+    ----------
+    run_state
+        Starting, running, ended or failed.
+    error
+        Why it failed, for a person; None where it did not.
+    source
+        The camera or recording, once it is open.
+    view
+        The newest view; None before the first frame.
+    learning
+        The model and the reference in use.
+    predicted_duty_percent
+        Share of the learned breaths inside the window, 0 to 100; None where it is not known, and for breath holds.
+    learned_ranges
+        Range of each signal of the window in the training, against the present reference; for display alone.
+    arming_state
+        Hash of what an arming would take: window, its correction and times, reference, model and head direction.
+    is_reason_needed
+        Whether a person has to arm, with a reason: conditions joined by or, or a window beyond the fraction's budget.
+    countersignature
+        Whether the next arming needs a second person, and who has signed what it would take.
+    """
+
+    run_state: LoopStatus = LoopStatus.STARTING
+    error: str | None = None
+    source: SourceDescription | None = None
+    view: LiveView | None = None
+    learning: LearningStatus = field(default_factory=LearningStatus)
+    predicted_duty_percent: float | None = None
+    learned_ranges: Ranges = field(default_factory=dict)
+    arming_state: str = ""
+    is_reason_needed: bool = False
+    countersignature: CountersignatureState = field(default_factory=CountersignatureState)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the engine decides nothing any more."""
+        return self.run_state.is_over

@@ -16,16 +16,13 @@ from engine.beam.beam_on import BeamOnState
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
 from engine.control.arming_outlook import ArmingOutlook
-from engine.control.command_handler import CommandHandler
-from engine.control.command_queue import CommandQueue
-from engine.control.commands import Command
+from engine.control.beam_driver import LineOrders
+from engine.control.command_handler import CommandHandler, ModelFollower
+from engine.control.command_queue import Command, CommandQueue
 from engine.control.decision_records import DecisionRecords
-from engine.control.engine_status import EngineStatus
 from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
-from engine.control.line_orders import LineOrders
-from engine.control.live_views import LiveViews, no_camera_view, no_signal
-from engine.control.model_follower import ModelFollower
+from engine.control.live_views import EngineStatus, LiveViews, no_camera_view, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.control.position_sign_off import PositionSignOff
@@ -35,7 +32,6 @@ from engine.control.session_limits import SessionLimits
 from engine.control.turn_reader import TurnReader
 from engine.control.turns import TurnRunner
 from engine.control.watchdog import Watchdog
-from engine.core.camera_view import CameraView
 from engine.core.clock import Clock
 from engine.core.errors import (
     BeamLineError,
@@ -46,7 +42,8 @@ from engine.core.errors import (
 from engine.core.frames import RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
-from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningEvent
+from engine.core.position_check import CameraView
 from engine.core.replacing import replace
 from engine.gating.gate import Ending, Gate, Interruption
 from engine.gating.limits import GateLimits, ns_from_ms

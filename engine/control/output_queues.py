@@ -14,7 +14,7 @@ from engine.control.journal.journal import Journal, NoJournal
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.core.clock import NS_PER_MS
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningEvent
 from engine.core.replacing import replace
 
 T = TypeVar("T")

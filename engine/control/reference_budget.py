@@ -15,9 +15,8 @@ from engine.control.session_limits import SessionLimits
 from engine.core.breath import SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, SetReference
 from engine.core.errors import ReferenceDistanceError
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
-from engine.gating.active_window import window_text
-from engine.gating.window_change import SetWindow
+from engine.core.reference import ReferenceDistance, SignalLevel
+from engine.gating.active_window import SetWindow, window_text
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, GateWindow, PhaseWindow, Unit
 
 # How far a window reaches beyond another one, in mm of the patient: its edges, with the reference they count from.

@@ -9,12 +9,10 @@ from typing import Protocol
 
 from engine.core.breath import SignalChoice
 from engine.core.frames import Measurement, RgbdFrame
-from engine.core.learning_events import LearningEvent
-from engine.core.learning_status import LearningStatus
+from engine.core.learning_status import LearningEvent, LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import LearnedLevels, Ranges
-from engine.core.reference_distance import ReferenceDistance
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceDistance, ReferenceMoment
+from engine.core.signals import LearnedLevels, Ranges
 
 
 class Measurer(Protocol):

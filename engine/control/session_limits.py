@@ -8,12 +8,10 @@ import math
 from dataclasses import replace
 
 from engine.core.frames import Measurement
-from engine.core.ranges import Ranges
-from engine.core.signals import signal_of
-from engine.gating.active_window import ActiveWindow, refuse_wide
+from engine.core.signals import Ranges, signal_of
+from engine.gating.active_window import ActiveWindow, SetWindow, WindowChange, checked_change, refuse_wide
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.limits import GateLimits
-from engine.gating.window_change import SetWindow, WindowChange, checked_change
 from engine.gating.windows import GateWindow
 
 

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Iterable
 
-from engine.control.command_handler import CommandHandler
+from engine.control.command_handler import CommandHandler, ModelFollower
 from engine.control.command_queue import URGENT, QueuedCommand
-from engine.control.decisions import Cause
 from engine.control.gate_controller import GateController
-from engine.control.model_follower import ModelFollower
 from engine.control.output_queues import OutputQueues
+from engine.control.outputs import Cause
 from engine.control.position_sign_off import PositionSignOff
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits

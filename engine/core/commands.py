@@ -6,9 +6,9 @@ operator, for the audit.
 
 from dataclasses import dataclass
 
-from engine.core.head_direction import HeadDirection
 from engine.core.motion_model import MotionModel
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
+from engine.core.signals import HeadDirection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

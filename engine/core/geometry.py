@@ -1,6 +1,8 @@
 """Cameras and rigid motions, in OpenCV's conventions: pixel centres at integers, x right, y down, z away.
 
 Transforms read right to left: ``color_from_depth`` takes points of the depth camera's frame to the colour camera's.
+
+Least squares of a few terms; the compiled form solves well-conditioned ones, numpy's the rest.
 """
 
 from dataclasses import dataclass, field
@@ -105,3 +107,16 @@ class RigidTransform:
     def inverse(self) -> "RigidTransform":
         """The motion back."""
         return RigidTransform(rotation=self.rotation.T.copy(), translation_mm=-self.rotation.T @ self.translation_mm)
+
+
+def least_squares(terms: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the weights of some terms, shape (k, n), whose sum is closest to values, shape (n,); shape (k,).
+
+    Of several answers the shortest. NaN raises `numpy.linalg.LinAlgError` or gives NaN, as numpy's does.
+    """
+    compiled = kernels()
+    if compiled is not None:
+        weights = np.empty(len(terms))
+        if compiled.least_squares(np.ascontiguousarray(terms), np.ascontiguousarray(values), weights):
+            return weights
+    return np.asarray(np.linalg.lstsq(terms.T, values, rcond=None)[0])

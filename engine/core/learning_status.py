@@ -1,12 +1,52 @@
-"""What the learning of motion models has come to, as a value: published by the learner, read by everything else."""
+"""The state of learning as a value, its events for the audit, and how far the patient is from a stored model.
 
-from dataclasses import dataclass
+Published by the learner, read by everything else.
+"""
 
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from engine.core.errors import ModelMismatchError
 from engine.core.motion_model import MotionModel
-from engine.core.patient_match import PatientMatch
 from engine.core.position_check import PositionCheck
-from engine.core.reference_distance import ReferenceDistance
-from engine.core.reference_proposal import ReferenceProposal
+from engine.core.reference import FirstReference, ReferenceDistance, ReferenceProposal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatientMatch:
+    """How far the patient of today is from a stored model.
+
+    Attributes
+    ----------
+    residual_mm
+        Median over the explained frames of the largest mean misfit of a cell [mm]; None where none was explained.
+    explained_share
+        Share of the frames that the model explains, 0 to 1.
+    shift_mm
+        From the training to today, in the depth camera's frame (x, y, z) [mm]; z is away from the camera.
+    tilt_deg
+        Rotation about the region's centre [deg].
+    shape_mm
+        Root mean square difference of the surfaces that shift and tilt do not explain [mm].
+    refusal
+        Why the model is not to be used on this patient; None when it may.
+    """
+
+    frames: int
+    explained_share: float
+    residual_mm: float | None
+    shift_mm: tuple[float, float, float]
+    tilt_deg: float
+    shape_mm: float
+    refusal: ModelMismatchError | None = None
+
+    @property
+    def distance_mm(self) -> float:
+        """Length of the shift [mm]."""
+        return float(np.linalg.norm(self.shift_mm))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,3 +93,30 @@ class LearningStatus:
     position_check: PositionCheck | None = None
     is_position_required: bool = False
     is_fraction_continued: bool = False
+
+
+Figures = Mapping[str, float | int | str | None]
+"""Values by name, unit included."""
+
+
+class LearningEventKind(enum.StrEnum):
+    """What has happened."""
+
+    STARTED = "retrain_started"
+    READY = "ready"
+    SWAPPED = "swapped"
+    REFUSED = "refused"
+    COMPARED = "compared"
+    ZERO_NEEDED = "zero_needed"
+    REFERENCE_SET = "reference_set"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearningEvent:
+    """One event; ``figures`` are the values that decided it, ``first`` the first reference where it became known."""
+
+    kind: LearningEventKind
+    detail: str
+    timestamp_us: int
+    figures: Figures = field(default_factory=dict)
+    first: FirstReference | None = None

@@ -4,25 +4,23 @@ Outside of the engine a site names windows (:class:`GateWindow`) and limits (:cl
 engine thread's.
 """
 
+from engine.gating.active_window import (
+    SetWindow,
+)
 from engine.gating.frame_checks import (
     HEAD_DIRECTION_UNKNOWN,
 )
 from engine.gating.limits import (
     BREATHING_CEASED,
-    LIMIT_BOUNDS,
-    GateLimits,
-)
-from engine.gating.session_defaults import (
     DWELL_MS,
     HYSTERESIS,
+    LIMIT_BOUNDS,
+    GateLimits,
 )
 from engine.gating.supervision.checks import (
     SEES_TOO_LITTLE,
     Check,
     CheckState,
-)
-from engine.gating.window_change import (
-    SetWindow,
 )
 from engine.gating.windows import (
     HOLD_BOUNDS,

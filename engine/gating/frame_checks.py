@@ -14,8 +14,14 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
 from engine.core.signals import is_wide, seen_share_of, signal_of
-from engine.gating.clock_rate import MAX_RATE_ERROR_PPM
-from engine.gating.delivery import MAX_UNSEEN_MS, Delivery, followed_delivery, lag_of, unseen_ageing_ms
+from engine.gating.delivery import (
+    MAX_RATE_ERROR_PPM,
+    MAX_UNSEEN_MS,
+    Delivery,
+    followed_delivery,
+    lag_of,
+    unseen_ageing_ms,
+)
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 

@@ -2,16 +2,20 @@
 
 Lengths are motion against the reference [mm], positive towards the camera. A session may have tighter limits than the
 site; they do not change while it runs, because the values are frozen and the loop reads them once.
+
+What the window of a session is where a request leaves it out; offline runs decide by the same.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from engine.core.bounds import check_numbers
 from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
-from engine.core.head_direction import HeadDirection, depends_on_head
+from engine.core.signals import HeadDirection, depends_on_head
 from engine.gating.windows import BreathHoldWindow, GateWindow
+from engine.gating.windows.amplitude import Unit
 
 BREATHING_CEASED = frozenset({BreathEventKind.APNOEA, BreathEventKind.NO_CYCLE})
 """Breathing events without breaths: an amplitude has no meaning then (ADR 0030)."""
@@ -263,3 +267,10 @@ WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min")
 def ns_from_ms(duration_ms: float) -> int:
     """Convert to whole nanoseconds, rounded down."""
     return int(duration_ms * NS_PER_MS)
+
+
+HYSTERESIS: Mapping[Unit, float] = {Unit.MM: 0.2, Unit.L: 0.01, Unit.PERCENT: 2.0}
+"""Distance inside the edges that a signal must reach to enter, by unit."""
+
+DWELL_MS = 200.0
+"""Time that the signal must stay inside before beam on [ms]."""

@@ -10,7 +10,7 @@ from engine.capture.source import SourceDescription
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.errors import SourceEndedError
 from engine.core.frames import FloatArray, RgbdFrame
-from engine.qa.latency.light_pattern import LightChange, intervals_ns
+from engine.qa.latency.light_driver import LightChange, intervals_ns
 from engine.qa.latency.measure import LEAD_S, LightInput
 
 BEGINS_NS = 100 * NS_PER_S

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.beam.second_input import DrilledReceiver
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import SourceDescription
@@ -27,8 +27,7 @@ from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.lab.phantom.body import Map, blur
 from engine.lab.phantom.color import stick
-from engine.lab.phantom.sensor import SHIFTS, depth_table_mm, shift_of
-from engine.lab.phantom.sensor_models import SENSORS, USUAL
+from engine.lab.phantom.sensor import SENSORS, SHIFTS, USUAL, depth_table_mm, shift_of
 from engine.lab.phantom.view import Rays
 from engine.qa.bounds import QaBaseline
 from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs

@@ -6,7 +6,7 @@ from engine.core.frames import FloatArray, Motion, Projection
 from engine.motion.job_stages import surface_mm
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference
-from engine.motion.learning.reference_smoothing import RecentFrames
+from engine.motion.learning.reference_transfer import RecentFrames
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.regions import WIDE

@@ -22,14 +22,12 @@ from engine.core.frames import (
     RoiDepth,
 )
 from engine.core.motion_model import MotionModel
-from engine.core.native_memory import keep_freed_memory
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.native_process import keep_calls_in_their_thread, keep_freed_memory
 from engine.motion.cross_check.cell_surface import BreathingShapes
 from engine.motion.followed_motion import FollowedMotion
 from engine.motion.job_stages import JobStages, refusal
 from engine.motion.learning.depth_steps import stored_steps
-from engine.motion.learning.learned import Learned
-from engine.motion.learning.learner import Learner
+from engine.motion.learning.learner import Learned, Learner
 from engine.motion.learning.lifecycle import LearningSetup
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_history import ReferenceHistory
@@ -39,8 +37,7 @@ from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.projection import STRIDE_PX, project
 from engine.motion.tracking.costal_line import CostalLineTracker
-from engine.motion.tracking.depth_table import DepthTable
-from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
+from engine.motion.tracking.region_tracker import DepthTable, RegionTracker, coverage_lost
 from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from engine.motion.trust import SurfaceTrust
 

@@ -4,8 +4,7 @@ from engine.calibration.camera_calibration import Calibration
 from engine.core.frames import FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.prepared_model import PreparedModel
-from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
-from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
+from engine.motion.tracking.surface_continuity import MarkerLayout, ObservedSurface, SurfaceContinuity, marker_points_mm
 
 
 class SurfaceTrust:

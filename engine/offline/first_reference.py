@@ -1,7 +1,7 @@
 """The reference of a second pass: the first frame that it measures, smoothed over the half second behind it.
 
 A live session smooths its reference over the half second before it, with a parabola (see
-`engine.motion.learning.reference_smoothing`). Before the first frame of a recording there is nothing, so the parabola
+`engine.motion.learning.reference_transfer`). Before the first frame of a recording there is nothing, so the parabola
 is fitted to the frames behind.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.core.frames import FloatArray, Measurement, Motion, frozen
 from engine.motion.learning.prepared_model import Reference
-from engine.motion.learning.reference_smoothing import DEGREE, FRAMES, MAX_GAP_US, MIN_FRAMES, WINDOW_US
+from engine.motion.learning.reference_transfer import DEGREE, FRAMES, MAX_GAP_US, MIN_FRAMES, WINDOW_US
 
 
 class FirstFrames:

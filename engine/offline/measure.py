@@ -2,7 +2,7 @@
 
 The first pass does what a live session does: it learns the motion model from the first breaths. The second pass reads
 the recording again and measures every frame, so that the frames of the training are not lost, with a model of the whole
-recording (`engine.motion.learning.still_stretch`). In both, the first measured frame is the reference. Frames are
+recording (`engine.motion.learning.past_frames`). In both, the first measured frame is the reference. Frames are
 streamed. Training is inline, so a recording gives the same numbers on every run on one processor. The gate's time is
 the device's.
 """
@@ -19,9 +19,8 @@ from engine.capture.source import DepthSource
 from engine.core.clock import ManualClock
 from engine.core.errors import CommandRefusedError, InvalidValueError, ModelError, RecordingError, SourceEndedError
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
-from engine.core.motion_model import MotionModel
-from engine.core.provenance import ModelOrigin
-from engine.gating.duty_cycle import duty_percent, refuse_hold_in_free_breath, refuse_never_left
+from engine.core.motion_model import ModelOrigin, MotionModel
+from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left
 from engine.gating.limits import GateLimits
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.model_file import save_model

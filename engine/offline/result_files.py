@@ -20,8 +20,7 @@ from engine.core.frames import FloatArray, Measurement, MeasurementState, Motion
 from engine.gating.gate import Gate
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.regions import grid_shape
-from engine.offline.segments import COLUMNS as SEGMENT_COLUMNS
-from engine.offline.segments import Segments, SegmentSummary
+from engine.offline.segments import COLUMNS as SEGMENT_COLUMNS, Segments, SegmentSummary
 
 SUMMARY_SCHEMA = "tidegate.motion-summary/1"
 COLUMNS = (

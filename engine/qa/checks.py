@@ -10,8 +10,7 @@ the system tolerates, and ``source`` names it.
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from engine.beam.heartbeat_drill import MARGIN_MS
-from engine.beam.second_input import RECEIVER_DROP_MS
+from engine.beam.heartbeat_drill import MARGIN_MS, RECEIVER_DROP_MS
 from engine.core.errors import InvalidValueError
 from engine.qa.results import QaCheck, QaKind, QaNeed, Sidedness
 

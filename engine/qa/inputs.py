@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 from engine.beam.beam_on import ReadBeamOn
 from engine.beam.commissioning import PULSE_BOUNDS_MS
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.line import BeamLine
-from engine.beam.second_input import DrilledReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
 from engine.control.watchdog import Watchdog

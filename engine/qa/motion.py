@@ -1,6 +1,14 @@
-"""Measured against commanded motion: lag, amplitude, offset and error, both from the same reference."""
+"""Measured against commanded motion: lag, amplitude, offset and error, both from the same reference.
+
+Longest beam-on time while the commanded position is outside of the window.
+
+The sine method takes medians, so a single beam-on interval that ends late, or lies outside of the window, does not
+change its figures. This figure is the worst case: it counts every beam-on time outside of the window, also in cycles
+that are no sine or hold more than one interval.
+"""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,3 +128,37 @@ def _lag_s(at_s: FloatArray, motion_mm: FloatArray, trace: CommandedTrace) -> fl
     best = float(coarse[int(np.argmin([dissimilarity(lag_s) for lag_s in coarse.tolist()]))])
     span = (max(best - LAG_STEP_S, -MAX_LAG_S), min(best + LAG_STEP_S, MAX_LAG_S))
     return float(minimize_scalar(dissimilarity, bounds=span, method="bounded").x)
+
+
+STEP_S = 0.001
+
+
+def longest_outside_s(
+    trace: CommandedTrace,
+    window_mm: tuple[float, float],
+    intervals_s: Iterable[tuple[float, float]],
+    from_s: float,
+    to_s: float,
+) -> float | None:
+    """Sum the beam-on time of each excursion from the window and return the longest [s]; None outside of the trace.
+
+    Parameters
+    ----------
+    intervals_s
+        When the beam was on, as pairs (on, off) [s] on the trace's clock; the dwell is not subtracted.
+    from_s, to_s
+        The evaluated span of time [s].
+    """
+    first_s, last_s = trace.span_s
+    start_s, end_s = max(from_s, first_s), min(to_s, last_s)
+    if end_s - start_s < STEP_S:
+        return None
+    times = np.arange(start_s, end_s, STEP_S)
+    position = trace.at(times)
+    lower, upper = window_mm
+    is_inside = (position >= lower) & (position <= upper)
+    is_on = np.zeros(len(times), dtype=np.bool_)
+    for on_s, off_s in intervals_s:
+        is_on[np.searchsorted(times, on_s) : np.searchsorted(times, off_s)] = True
+    excursion = np.cumsum(is_inside)  # stands still while the phantom is outside
+    return STEP_S * float(np.bincount(excursion, weights=is_on & ~is_inside).max())

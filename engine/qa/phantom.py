@@ -19,15 +19,14 @@ import numpy.typing as npt
 from engine.core.clock import ManualClock, MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import MeasurementState, frozen
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
 from engine.gating.windows import AmplitudeWindow
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
-from engine.offline.gate_edges import Edge, TimedFrame, gate_edges, time_frames
+from engine.offline.offline_gate import Edge, TimedFrame, gate_edges, time_frames
 from engine.qa.inputs import PhantomInput
-from engine.qa.motion import MotionAgreement, commanded_zero_mm, compare_motion
-from engine.qa.outside import longest_outside_s
+from engine.qa.motion import MotionAgreement, commanded_zero_mm, compare_motion, longest_outside_s
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
 from engine.qa.sine import Estimate, GateTiming, find_cycles, time_gate_by_sines

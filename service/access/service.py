@@ -16,8 +16,8 @@ from service.access.accounts.store import AccessStore
 from service.access.login import lockout
 from service.access.login.cookies import CookieScope
 from service.access.login.keys import KeyService
+from service.access.login.lockout import RefusedLogins
 from service.access.login.logins import Attempt, LoginService
-from service.access.login.refusals import RefusedLogins
 from service.access.request.authenticator import Authenticator
 from service.access.request.identity import Identity
 from service.access.screens.screens import ScreenService

@@ -22,8 +22,7 @@ from service.storage.audit import Event
 from service.storage.backup.archive import opened
 from service.storage.backup.backup import CreatedBackup, Source, make_backup, needed_bytes, refuse_full_disk
 from service.storage.backup.layout import BackupError, BrokenLogError, OtherRoomError
-from service.storage.backup.restore import Target, check
-from service.storage.backup.restore import restore as restore_backup
+from service.storage.backup.restore import Target, check, restore as restore_backup
 from service.storage.database.engine import Database
 from service.storage.database.tables import ApiKeyRow, UserRow
 from service.storage.files.folder_lock import alone_in

@@ -60,7 +60,7 @@ def check(
     from engine.core.errors import TidegateError
     from service.cli.data_folder import settings_of_folder
     from service.core.settings.settings import SettingsError, load_settings
-    from service.engine_host.targets import alone_at_targets
+    from service.engine_host.beam_lines import alone_at_targets
     from service.storage.files.folder_lock import alone_in
 
     low, high = PULSE_BOUNDS_MS

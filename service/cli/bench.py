@@ -20,13 +20,10 @@ from rich.table import Table as RichTable
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.lab.performance.bench import SpeedBench, full_sizes, quick_sizes, write_figures
 from engine.lab.performance.machine import BUSY_LOAD, Machine, SpeedBenchError, pinned
-from engine.lab.performance.marks import SpeedMark, reach
-from engine.lab.performance.recording import make_recording
-from engine.lab.performance.results import SpeedFigures
-from engine.lab.performance.session import Recording
-from engine.lab.performance.tables import speed_tables
+from engine.lab.performance.results import SpeedFigures, SpeedMark, reach, speed_tables
+from engine.lab.performance.session import Recording, make_recording
 from engine.lab.performance.throughput import CommandRun
-from engine.motion.learning.trainer import TrainingSettings
+from engine.motion import TrainingSettings
 from service.cli.serve import SWITCH_INTERVAL_S
 from service.cli.terminal import frame_bar, refused, say
 

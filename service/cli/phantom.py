@@ -10,7 +10,7 @@ from engine.lab.evaluation.integrity.cases import falsification_of
 from engine.lab.phantom.builds import Departure
 from engine.lab.phantom.falsifications import Falsification
 from engine.lab.phantom.recording import make_volunteer
-from engine.lab.phantom.sensor_models import USUAL
+from engine.lab.phantom.sensor import USUAL
 from service.cli.terminal import frame_bar, refused, say
 
 

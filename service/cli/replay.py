@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from engine.core.errors import TidegateError
-from engine.offline.replay.comparison import MOTION_MM
+from engine.offline.replay import MOTION_MM
 from service.cli.data_folder import settings_of_database, settings_of_folder
 from service.cli.terminal import advance, frame_bar, refused, say
 from service.core.errors import NotFoundError

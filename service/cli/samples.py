@@ -20,9 +20,8 @@ from service.storage.database.engine import Database
 from service.storage.database.queries import OPEN_STATUSES
 from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.database.tables import SessionRow
-from service.storage.files.capacity import MIB, folder_bytes
-from service.storage.samples.check import Finding, check
-from service.storage.samples.register import registered
+from service.storage.files.cleanup import MIB, folder_bytes
+from service.storage.samples.check import Finding, check, registered
 from service.storage.samples.store import SampleStore
 
 samples = command_group("samples", "List the stored samples of every session with their sizes, or verify them.")

@@ -17,7 +17,7 @@ from service.cli.terminal import refused, say
 if TYPE_CHECKING:
     from service.core.settings.settings import Settings
     from service.engine_host.process.process_engine import ProcessEngine
-    from service.qa.roles import QaRig
+    from service.qa.jobs import QaRig
 
 SWITCH_INTERVAL_S = 0.001
 """The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
@@ -48,8 +48,8 @@ def serve(
     from engine.core.errors import TidegateError
     from service.core.logging.nonblocking import flush_log
     from service.core.settings.settings import SettingsError, load_settings
+    from service.engine_host.beam_lines import alone_at_targets
     from service.engine_host.site_rules.recording_folders import refuse_same_names
-    from service.engine_host.targets import alone_at_targets
     from service.storage.files.folder_lock import alone_in
     from service.web.shutdown import leave_at_once
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.core.errors import TidegateError
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _therapist(url: str, name: str, password_file: Path | None, ca_file: Path | 
 
 def secret_from(file: Path | None, variable: str) -> str:
     """Read a key or password from a file, else from an environment variable; raise TpsError where there is none."""
-    from service.planning.simulated_tps.errors import TpsError
+    from service.planning.simulated_tps.prescription import TpsError
 
     found = file.read_text().strip() if file is not None else os.environ.get(variable, "")
     if not found:
@@ -165,7 +165,7 @@ def _prescription(tps: "TidegateClient", plan: str, beam_s: float | None) -> "Pr
 
 
 def _calibration(tps: "TidegateClient", file: Path | None) -> str:
-    from service.planning.simulated_tps.errors import TpsError
+    from service.planning.simulated_tps.prescription import TpsError
 
     if file is not None:
         return tps.upload_calibration(file.read_bytes())["id"]

@@ -1,6 +1,8 @@
 """Terminal output of the commands: one line for a refusal, one progress bar for frames.
 
 Rich is imported only to draw a bar: the import takes a tenth of a command's start.
+
+The data folder that a command works on: it must exist, so that a mistyped name is refused and not created.
 """
 
 import sys
@@ -11,6 +13,7 @@ import typer
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
 
 BAD_INPUT = 2
 """Exit code of a command that was refused."""

@@ -5,14 +5,32 @@ The priorities are those of IEC 60601-1-8: what may happen if no person reacts, 
 An alarm belongs to a session. Faults are alarms whenever they are latched. A hold is an alarm only while the gate is
 armed, and only where it is no part of gating: `NOT_ALARMS` lists the reasons that are none. The row of a reason
 (`engine.core.gate_state`) names its group.
+
+One sentence for each hold reason, as the page shows it: from the page's English language file.
 """
 
 import enum
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 
 from engine.core.gate_state import AlarmGroup, HoldReason
-from service.core.hold_texts import HOLD_TEXTS
+
+_LANGUAGE = resources.files("service") / "web" / "dashboard" / "lang" / "en.json"
+
+
+def _texts() -> dict[HoldReason, str]:
+    words = json.loads(_LANGUAGE.read_text(encoding="utf-8"))
+    return {reason: words[f"hold.{reason.value}.what"] for reason in HoldReason}
+
+
+HOLD_TEXTS: dict[HoldReason, str] = _texts()
+
+
+def hold_text(reason: HoldReason | None) -> str | None:
+    """Return the sentence of a reason; None for None."""
+    return None if reason is None else HOLD_TEXTS[reason]
 
 
 class AlarmPriority(enum.StrEnum):

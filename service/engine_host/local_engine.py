@@ -9,9 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
-from engine.calibration.camera_calibration import Calibration
-from engine.calibration.camera_view import CameraViewMeter
-from engine.calibration.device_registration import registered_calibration
+from engine.calibration import Calibration, CameraViewMeter, registered_calibration
 from engine.capture import DepthSource, LiveSource, OniFileSource, ReturningSource, drivers
 from engine.control import Command, EngineLoop, EngineStatus, FrameRecord, GateTransition, LoopStatus
 from engine.core.clock import Clock, MonotonicClock
@@ -19,24 +17,18 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, RuntimeMi
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import TappedClock
-from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningEvent
 from engine.gating import GateLimits
-from engine.motion.learning.tasks import Outcome
-from engine.motion.learning.trainer import BackgroundTrainer, Trainer
-from engine.motion.pipeline import Pipeline
-from engine.motion.settings import PipelineSettings
-from engine.offline.replay.tapped_trainer import TappedTrainer
+from engine.motion import BackgroundTrainer, Outcome, Pipeline, PipelineSettings, Trainer
+from engine.offline.replay import TappedTrainer
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_on_state, make_beam_line
 from service.engine_host.roles import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
-from service.engine_host.site_rules.camera_serial import checked_camera
-from service.engine_host.site_rules.head_direction import check_head_direction
-from service.engine_host.site_rules.measuring import measuring_with
-from service.engine_host.site_rules.played_recordings import check_source
-from service.engine_host.site_rules.uncalibrated import check_still_allowed
-from service.engine_host.site_rules.window_limits import check_window, gate_limits
+from service.engine_host.site_rules.calibrations import check_still_allowed, checked_camera
+from service.engine_host.site_rules.recording_folders import check_source
+from service.engine_host.site_rules.window_limits import check_head_direction, check_window, gate_limits, measuring_with
 
 STOP_TIMEOUT_S = 3.0
 HUNG = "the engine did not stop in time; the beam is held"

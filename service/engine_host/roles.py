@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.control import Command, EngineStatus, FrameRecord, GateTransition, TransitionJournal
-from engine.core.first_reference import FirstReference
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
-from engine.core.head_direction import HeadDirection
-from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningEvent
 from engine.core.motion_model import MotionModel
+from engine.core.reference import FirstReference
+from engine.core.signals import HeadDirection
 from service.core.schemas import sessions
 from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window

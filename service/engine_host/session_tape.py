@@ -8,16 +8,22 @@ import logging
 
 from engine.capture import RawRecorder
 from engine.gating import GateLimits
-from engine.motion.settings import PipelineSettings
-from engine.offline.replay.comparison import this_machine
-from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.header import RAW, RECORDING, Frames, TapeHeader, this_software
-from engine.offline.replay.recording_tap import RecordingTap
-from engine.offline.replay.tape_writer import TapeWriter, sha256_of
+from engine.motion import PipelineSettings
+from engine.offline.replay import (
+    RAW,
+    RECORDING,
+    Frames,
+    RecordingTap,
+    TapeEncoding,
+    TapeHeader,
+    TapeWriter,
+    sha256_of,
+    this_machine,
+    this_software,
+)
 from service.core.settings.settings import Settings
 from service.engine_host.roles import SessionPlan
-from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
-from service.storage.files.tapes import raw_path, tape_path
+from service.storage.files.motion_models import MODELS_FOLDER, ModelStore, raw_path, tape_path
 
 logger = logging.getLogger(__name__)
 

@@ -12,9 +12,8 @@ from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.metrics.engine import EngineMetrics
-from service.monitoring.metrics.http import HttpCounters
 from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics
-from service.monitoring.metrics.registry import Metrics
+from service.monitoring.metrics.registry import HttpCounters, Metrics
 from service.monitoring.readiness import ReadinessProbe
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.counters import SessionCounters

@@ -4,16 +4,15 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
-from engine.qa.bounds import BASELINE_BOUNDS
-from engine.qa.checks import check_of
+from engine.qa import BASELINE_BOUNDS, check_of
 from service.core.conditional import ANYTHING, Precondition
 from service.core.errors import BoundError, QaActiveError, QaStateError
 from service.core.list_filters import ALL_RUNS, QaRunFilter
 from service.core.settings.settings import Settings
 from service.qa import queries, schemas, views
 from service.qa.arming_requirement import refusal
-from service.qa.current_run import CurrentRun
-from service.qa.latency.archive import latency_list
+from service.qa.jobs import CurrentRun
+from service.qa.latency.requirement import latency_list
 from service.qa.latency.schemas import CameraLatencyList
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database

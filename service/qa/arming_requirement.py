@@ -12,8 +12,7 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.orm import Session
 
-from engine.qa.checks import checks_of
-from engine.qa.results import QaKind
+from engine.qa import QaKind, checks_of
 from service.core.errors import QaOverdueError
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings

@@ -1,14 +1,13 @@
 """The QA rig, loaded with its first run: fits and SciPy take 40 MB and a second, which no session needs."""
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from service.core.settings.settings import Settings
-from service.qa.jobs import QaJob
-from service.qa.roles import QaFiles
+from service.qa.jobs import QaFiles, QaJob
 from service.qa.schemas import QaRunRequest
 
 
 class LateRig:
-    """A :class:`service.qa.roles.QaRig` that builds its jobs with :class:`service.qa.rig.EngineRig`."""
+    """A :class:`service.qa.jobs.QaRig` that builds its jobs with :class:`service.qa.rig.EngineRig`."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings

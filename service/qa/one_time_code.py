@@ -16,10 +16,10 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, ValidationError
 
 from engine.core.clock import NS_PER_S
 from engine.core.files import open_plain, remove, whole_file
-from service.access.accounts.names import name_key
 from service.access.accounts.passwords import Argon2Hashing
+from service.access.accounts.records import name_key
 from service.core.errors import QaCodeError
-from service.storage.time_anchor import TimeAnchor
+from service.storage.database.base import TimeAnchor
 
 FILE_NAME = "qa-code.json"
 ALPHABET = "23456789ABCDEFGHJKLMNPQRSTUVWXYZ"

@@ -6,22 +6,30 @@ Nothing is opened here: the run opens and closes its inputs.
 import threading
 from pathlib import Path
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.capture import DepthSource, OniFileSource, drivers
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
 from engine.gating import GateLimits, amplitude_window
-from engine.motion.settings import PipelineSettings
-from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
-from engine.qa.results import QaKind, QaReport
-from engine.qa.run import Progress, run_qa
-from engine.qa.trace import read_commanded
+from engine.motion import PipelineSettings
+from engine.qa import (
+    BeamInput,
+    PhantomInput,
+    PlateInput,
+    Progress,
+    QaBaseline,
+    QaBounds,
+    QaInputs,
+    QaKind,
+    QaReport,
+    read_commanded,
+    run_qa,
+)
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
-from service.engine_host.site_rules.camera_serial import checked_camera
+from service.engine_host.site_rules.calibrations import checked_camera
 from service.qa.guarded_line import GuardedLine
-from service.qa.roles import QaFiles
+from service.qa.jobs import QaFiles
 from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest
 
 DWELL_MS = 100.0

@@ -8,21 +8,18 @@ from pathlib import Path
 
 from sqlalchemy.orm import Session
 
-from engine.calibration.camera_calibration import Calibration, parse_calibration
+from engine.calibration import Calibration, parse_calibration
 from engine.core.errors import RecordingError
-from engine.qa.results import QaKind
+from engine.qa import QaKind
 from service.core.errors import BoundError, QaStateError, SessionActiveError
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.site_rules.calibrations import check_still_allowed
 from service.engine_host.site_rules.recording_folders import find_recording
-from service.engine_host.site_rules.uncalibrated import check_still_allowed
-from service.qa import queries as records
-from service.qa import schemas, views
-from service.qa.current_run import Current, CurrentRun
-from service.qa.jobs import Handle, QaJob, run_job
+from service.qa import queries as records, schemas, views
+from service.qa.jobs import Current, CurrentRun, Handle, QaFiles, QaJob, QaRig, run_job
 from service.qa.one_time_code import OneTimeCodes
 from service.qa.queries import NewQaRun, QaOutcome
-from service.qa.roles import QaFiles, QaRig
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog

@@ -4,8 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
 
-from engine.qa.bounds import BASELINE_BOUNDS
-from engine.qa.inputs import PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
+from engine.qa import BASELINE_BOUNDS, PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
 from service.core.schemas.sessions import DeviceSource
 

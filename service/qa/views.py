@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 from sqlalchemy.orm import Session
 
-from engine.qa.checks import CHECKS, check_of
-from engine.qa.results import QaCheck, QaNeed
+from engine.qa import CHECKS, QaCheck, QaNeed, check_of
 from service.core.conditional import etag_of
 from service.core.settings.names import setting_name
 from service.core.settings.qa import QaSettings, setting_of

@@ -20,14 +20,14 @@ from starlette.routing import BaseRoute, Route
 
 from engine import __version__
 from engine.core.errors import TidegateError
-from service.access.accounts.first_admin import OnFirstAdmin
+from service.access.accounts.people import OnFirstAdmin
 from service.access.request.addresses import ClientAddresses
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import EnginePort
 from service.monitoring.certificate import ServedCertificate
+from service.qa.jobs import QaRig
 from service.qa.late_rig import LateRig
-from service.qa.roles import QaRig
 from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.samples.store import SampleStore
 from service.storage.samples.tail import SampleTails
@@ -52,14 +52,12 @@ from service.web.api import (
 from service.web.api.problem_handlers import install_problem_handlers
 from service.web.container import Container, open_container
 from service.web.dependencies import guarded, require_json
-from service.web.middleware.arrival import Arrival
 from service.web.middleware.guard import Guard
-from service.web.middleware.request_log import RequestLog
-from service.web.middleware.requests import RequestMiddleware
+from service.web.middleware.request_log import Arrival, RequestLog
+from service.web.middleware.requests import RequestMiddleware, require_acceptable, require_known_query
 from service.web.middleware.reserved_threads import ReservedThreads
-from service.web.middleware.strict_requests import require_acceptable, require_known_query
 from service.web.openapi import describe_contract, operation_id
-from service.web.stream import coach, server_sent_events, websocket
+from service.web.stream import coach_hub, server_sent_events, websocket
 from service.web.stream.coach_hub import CoachHub
 from service.web.stream.hub import LiveHub
 from service.web.stream.metrics import StreamMetrics
@@ -260,7 +258,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
         api.include_router(module.router)
     root.include_router(api)
     root.include_router(websocket.router, prefix="/api/v1")
-    root.include_router(coach.router, prefix="/api/v1")
+    root.include_router(coach_hub.router, prefix="/api/v1")
     return tuple(root.routes)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from engine import __version__
 from engine.capture import SourceDescription
 from engine.core.compiled import frame_path
-from service.access.accounts.first_admin import OnFirstAdmin, make_first_admin
+from service.access.accounts.people import OnFirstAdmin, make_first_admin
 from service.access.armed_operator import ArmedOperator
 from service.access.oidc.service import OidcService
 from service.access.service import AccessService, open_access
@@ -17,12 +17,10 @@ from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
 from service.planning.rt_plan.planned_sessions import PlannedSessions
 from service.planning.rt_plan.repository import PlanRepository
-from service.qa.archive import QaArchive
-from service.qa.archive import close_interrupted as close_interrupted_qa
+from service.qa.archive import QaArchive, close_interrupted as close_interrupted_qa
 from service.qa.arming_requirement import refuse_without_qa
-from service.qa.current_run import CurrentRun
+from service.qa.jobs import CurrentRun, QaRig
 from service.qa.latency.requirement import counted_latency_ms, refuse_unmeasured
-from service.qa.roles import QaRig
 from service.qa.runs import QaRunService
 from service.sessions.alarms.watch import AlarmWatch, SiteTroubles
 from service.sessions.coaching.board import CoachingBoard
@@ -30,10 +28,9 @@ from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.lifecycle.start import SessionStarter, writer_connections
 from service.sessions.records.arming import ArmingSummaries
-from service.sessions.records.calibrations import CalibrationRepository
+from service.sessions.records.calibrations import CalibrationRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
-from service.sessions.records.recordings import RecordingList
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions

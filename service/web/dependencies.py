@@ -11,9 +11,7 @@ from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel
 from starlette.requests import ClientDisconnect, HTTPConnection
 
-from service.access.request.caller import RequestCaller
-from service.access.request.claimed_operator import ClaimedOperator, read_claim
-from service.access.request.identity import RULE, identity_in
+from service.access.request.identity import RULE, ClaimedOperator, RequestCaller, identity_in, read_claim
 from service.access.service import AccessService
 from service.core.conditional import LONGEST, Precondition, is_known, precondition
 from service.core.errors import MediaTypeError, NotLoggedInError
@@ -29,22 +27,19 @@ from service.sessions.alarms.board import AlarmBoard
 from service.sessions.coaching.board import CoachingBoard
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.records.arming import ArmingSummaries
-from service.sessions.records.calibrations import CalibrationRepository
+from service.sessions.records.calibrations import CalibrationRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
-from service.sessions.records.recordings import RecordingList
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.views.interlocks import InterlockTable
-from service.storage.audit import on_behalf
+from service.storage.audit import chain
 from service.storage.audit.service import AuditService
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer
 from service.storage.samples.service import SampleService
 from service.web.middleware.guard import ADDRESS
-from service.web.middleware.requests import RefusedError
+from service.web.middleware.requests import RefusedError, takes_beam_away
 from service.web.middleware.reserved_threads import ReservedThreads
-from service.web.middleware.strict_requests import takes_beam_away
-from service.web.paging import LONGEST as LONGEST_CURSOR
-from service.web.paging import Paging
+from service.web.paging import LONGEST as LONGEST_CURSOR, Paging
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 PARAMETER = re.compile(r"\{(\w+)\}")
@@ -184,7 +179,7 @@ async def _withdrawing_operator(request: Request, caller: Annotated[RequestCalle
         return caller.name
     claim = await _claim(request)
     if claim.unread is not None:
-        on_behalf.leave_unread(claim.unread)
+        chain.leave_unread(claim.unread)
     return caller.actor_unchecked(claim.operator)
 
 

@@ -12,8 +12,8 @@ from typing import Annotated, TypeVar
 
 from fastapi import Depends
 
-from engine.core.head_direction import HeadDirection
-from service.access.request.caller import RequestCaller
+from engine.core.signals import HeadDirection
+from service.access.request.identity import RequestCaller
 from service.core.conditional import Precondition
 from service.core.permissions import Permission
 from service.core.schemas import sessions

@@ -13,7 +13,7 @@ import anyio.to_thread
 import uvicorn
 from fastapi import FastAPI
 
-from service.core.settings.connection_limits import ConnectionLimits
+from service.core.settings.groups import ConnectionLimits
 from service.monitoring.certificate import ServedCertificate
 from service.web.connections.http_protocol import BoundedHttp
 from service.web.connections.registry import ConnectionRegistry

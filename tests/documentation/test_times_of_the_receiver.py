@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from engine.beam.second_input import RECEIVER_DROP_MS
+from engine.beam.heartbeat_drill import RECEIVER_DROP_MS
 from tests.campaigns.faults.kinds import RECEIVER_MS
 from tests.support.beam.modbus_server import DROP_NS
 from tests.support.documents.hazards import sections

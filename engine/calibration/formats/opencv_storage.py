@@ -12,7 +12,7 @@
 ======================================  ===============================================================
 """
 
-from engine.calibration.formats import tree_values
+from engine.calibration.formats import documents
 from engine.calibration.formats.builder import LENGTH_UNITS, ROLES, Draft, ImportOptions, LengthUnit, Role, length_in_mm
 from engine.calibration.formats.documents import Tree
 from engine.core.errors import CalibrationError
@@ -44,7 +44,7 @@ def is_storage(tree: dict[str, Tree]) -> bool:
 def draft_of(trees: list[dict[str, Tree]], options: ImportOptions) -> Draft:
     """Draft our document from one or more files together; raise CalibrationError."""
     tree = _merged(trees)
-    tree_values.refuse_unknown(tree.keys(), KNOWN)
+    documents.refuse_unknown(tree.keys(), KNOWN)
     draft = Draft()
     draft.put("camera", _given(tree, "camera", options.camera), "camera")
     is_numbered = bool(tree.keys() & _NUMBERED)
@@ -80,7 +80,7 @@ def _given(tree: dict[str, Tree], key: str, option: str | None) -> str:
     if key in tree and option is not None:
         raise CalibrationError(key, option, "left out: the file contains it")
     if key in tree:
-        return tree_values.text(key, tree[key])
+        return documents.text(key, tree[key])
     if option is None:
         raise CalibrationError(key, "missing", "given, in the file or beside it")
     return option
@@ -98,7 +98,7 @@ def _first_camera(tree: dict[str, Tree], options: ImportOptions) -> Role:
 def _put_camera(
     draft: Draft, role: Role, tree: dict[str, Tree], matrix_name: str, distortion_names: tuple[str, ...]
 ) -> None:
-    draft.put_camera(role, tree_values.camera_matrix(matrix_name, _matrix(tree, matrix_name)), matrix_name)
+    draft.put_camera(role, documents.camera_matrix(matrix_name, _matrix(tree, matrix_name)), matrix_name)
     given = [name for name in distortion_names if name in tree]
     if len(given) > 1:
         raise CalibrationError(given[1], f"given beside {given[0]}", "given once")
@@ -106,7 +106,7 @@ def _put_camera(
     value = _matrix(tree, name)
     if 1 not in value.shape:
         raise CalibrationError(name, f"{value.shape[0]} x {value.shape[1]}", "one row or one column")
-    draft.put(f"{role}.distortion", tree_values.distortion(name, value.ravel().tolist()), name)
+    draft.put(f"{role}.distortion", documents.distortion(name, value.ravel().tolist()), name)
 
 
 def _put_size(draft: Draft, role: Role, tree: dict[str, Tree], options: ImportOptions) -> None:
@@ -122,11 +122,11 @@ def _put_size(draft: Draft, role: Role, tree: dict[str, Tree], options: ImportOp
         if len(given) > 1:
             raise CalibrationError(list(given)[1], f"given beside {next(iter(given))}", "given once")
         name, value = next(iter(given.items()))
-        draft.put(f"{role}.{side}", tree_values.whole(name, value), name)
+        draft.put(f"{role}.{side}", documents.whole(name, value), name)
 
 
 def _pair(field: str, value: Tree) -> list[float]:
-    pair = tree_values.numbers(field, value)
+    pair = documents.numbers(field, value)
     if len(pair) != 2:
         raise CalibrationError(field, value, "width and height")
     return pair
@@ -141,8 +141,8 @@ def _put_pose(draft: Draft, tree: dict[str, Tree], options: ImportOptions, *, is
         draft.put_given_pose(options)
         return
     rotation_name, translation_name = (_one_of(tree, *names) for names in (("R", "rotation"), ("T", "translation")))
-    rotation = tree_values.shaped(rotation_name, _matrix(tree, rotation_name), (3, 3))
-    raw = tree_values.shaped(translation_name, _matrix(tree, translation_name), (3, 1), (1, 3)).ravel()
+    rotation = documents.shaped(rotation_name, _matrix(tree, rotation_name), (3, 3))
+    raw = documents.shaped(translation_name, _matrix(tree, translation_name), (3, 1), (1, 3)).ravel()
     translation_mm = length_in_mm(translation_name, raw, _unit(tree, options), draft.notes)
     pose = RigidTransform(rotation=rotation, translation_mm=translation_mm)
     if not is_depth_first:
@@ -171,4 +171,4 @@ def _unit(tree: dict[str, Tree], options: ImportOptions) -> LengthUnit | None:
 def _matrix(tree: dict[str, Tree], name: str) -> FloatArray:
     if name not in tree:
         raise CalibrationError(name, "missing", "given")
-    return tree_values.matrix(name, tree[name])
+    return documents.matrix(name, tree[name])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.calibration.formats import tree_values
+from engine.calibration.formats import documents
 from engine.calibration.formats.builder import (
     LONGEST_BASELINE_MM,
     MM_PER_M,
@@ -67,12 +67,12 @@ class _Info:
         """Take K, R or P."""
         value = self.get(key)
         if isinstance(value, list):
-            entries = tree_values.numbers(self.their(key), value)
+            entries = documents.numbers(self.their(key), value)
             rows, columns = _SHAPES[key]
             if len(entries) != rows * columns:
                 raise CalibrationError(self.their(key), f"{len(entries)} numbers", f"{rows * columns} numbers")
             return np.array(entries).reshape(rows, columns)
-        return tree_values.shaped(self.their(key), tree_values.matrix(self.their(key), value), _SHAPES[key])
+        return documents.shaped(self.their(key), documents.matrix(self.their(key), value), _SHAPES[key])
 
     def has(self, key: str) -> bool:
         """Whether the file has a field."""
@@ -110,19 +110,19 @@ def draft_of(trees: list[dict[str, Tree]], options: ImportOptions) -> Draft:
 def _info(index: int, tree: dict[str, Tree]) -> _Info:
     label = f"files[{index}]"
     if "camera_matrix" in tree:
-        tree_values.refuse_unknown(tree.keys(), _STORED, prefix=f"{label}.")
+        documents.refuse_unknown(tree.keys(), _STORED, prefix=f"{label}.")
         keys = {"width": "image_width", "height": "image_height", "name": "camera_name", "K": "camera_matrix"}
         keys |= {"D": "distortion_coefficients", "R": "rectification_matrix", "P": "projection_matrix"}
-        name = tree_values.text(f"{label}.camera_name", tree.get("camera_name", ""))
+        name = documents.text(f"{label}.camera_name", tree.get("camera_name", ""))
     else:
         is_lower = "k" in tree
         known = {key.lower() if is_lower else key for key in _ECHOED}
-        tree_values.refuse_unknown(tree.keys(), known, prefix=f"{label}.")
+        documents.refuse_unknown(tree.keys(), known, prefix=f"{label}.")
         keys = {key: key.lower() if is_lower else key for key in ("D", "K", "R", "P", "width", "height")}
         keys["name"] = "header.frame_id"
         header = tree.get("header")
         name = (
-            tree_values.text(f"{label}.header.frame_id", header.get("frame_id", "")) if isinstance(header, dict) else ""
+            documents.text(f"{label}.header.frame_id", header.get("frame_id", "")) if isinstance(header, dict) else ""
         )
         _refuse_part(label, tree)
     return _Info(label=label, name=name[:80], fields=tree, keys=keys)
@@ -131,11 +131,11 @@ def _info(index: int, tree: dict[str, Tree]) -> _Info:
 def _refuse_part(label: str, tree: dict[str, Tree]) -> None:
     """Refuse a camera that sends only a part of its picture, or a coarser one."""
     for key in ("binning_x", "binning_y"):
-        if tree_values.whole(f"{label}.{key}", tree.get(key, 0)) > 1:
+        if documents.whole(f"{label}.{key}", tree.get(key, 0)) > 1:
             raise CalibrationError(f"{label}.{key}", tree[key], "0 or 1: the whole picture")
     roi = tree.get("roi")
     for key, value in roi.items() if isinstance(roi, dict) else ():
-        if key != "do_rectify" and tree_values.whole(f"{label}.roi.{key}", value) != 0:
+        if key != "do_rectify" and documents.whole(f"{label}.roi.{key}", value) != 0:
             raise CalibrationError(f"{label}.roi.{key}", value, "0: the whole picture")
 
 
@@ -163,8 +163,8 @@ def _role_of(info: _Info) -> Role | None:
 
 def _put_camera(draft: Draft, role: Role, info: _Info) -> None:
     for key in ("width", "height"):
-        draft.put(f"{role}.{key}", tree_values.whole(info.their(key), info.get(key)), info.their(key))
-    draft.put_camera(role, tree_values.camera_matrix(info.their("K"), info.matrix("K")), info.their("K"))
+        draft.put(f"{role}.{key}", documents.whole(info.their(key), info.get(key)), info.their(key))
+    draft.put_camera(role, documents.camera_matrix(info.their("K"), info.matrix("K")), info.their("K"))
     model = info.fields.get("distortion_model")
     if model is None:
         draft.notes.append(f"{info.label} names no distortion model: taken as plumb_bob, as ROS does")
@@ -172,11 +172,9 @@ def _put_camera(draft: Draft, role: Role, info: _Info) -> None:
         raise CalibrationError(f"{info.label}.distortion_model", model, " or ".join(_MODELS))
     value, name = info.get("D"), info.their("D")
     entries = (
-        tree_values.matrix(name, value).ravel().tolist()
-        if isinstance(value, dict)
-        else tree_values.numbers(name, value)
+        documents.matrix(name, value).ravel().tolist() if isinstance(value, dict) else documents.numbers(name, value)
     )
-    draft.put(f"{role}.distortion", tree_values.distortion(name, entries), name)
+    draft.put(f"{role}.distortion", documents.distortion(name, entries), name)
 
 
 def _put_pose(draft: Draft, depth: _Info, color: _Info, options: ImportOptions) -> None:

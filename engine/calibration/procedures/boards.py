@@ -1,5 +1,11 @@
-"""A checkerboard and where a picture shows its inner corners."""
+"""A checkerboard and where a picture shows its inner corners.
 
+Coverage of the picture by corners: without corners, lens distortion is extrapolated.
+
+Pairs of pictures: by equal names, else by their order.
+"""
+
+import glob
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.errors import InvalidValueError, RecordingError
-from engine.core.frames import FloatArray
+from engine.core.frames import BoolArray, FloatArray
 
 FEWEST_CORNERS, MOST_CORNERS = 3, 40
 SMALLEST_SQUARE_MM, LARGEST_SQUARE_MM = 2.0, 200.0
@@ -100,3 +106,80 @@ def _stretched(picture: npt.NDArray[np.generic]) -> Gray:
     if high <= low:
         return np.zeros(levels.shape, np.uint8)
     return np.asarray(np.clip((levels - low) * (255.0 / (high - low)), 0.0, 255.0), dtype=np.uint8)
+
+
+COLUMNS, ROWS = 8, 6
+_ACROSS, _DOWN = ("left", "middle", "right"), ("upper", "central", "lower")
+EMPTY_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Coverage:
+    """Cells of the picture, shape (6, 8): whether a corner ever was in them."""
+
+    cells: BoolArray
+
+    @property
+    def share(self) -> float:
+        """Share of the picture's cells that had a corner."""
+        return float(self.cells.mean())
+
+    @property
+    def empty_places(self) -> tuple[str, ...]:
+        """Ninths of the picture in which hardly any cell had a corner, by name."""
+        places = []
+        for rows, down in zip(np.array_split(np.arange(ROWS), 3), _DOWN, strict=True):
+            for columns, across in zip(np.array_split(np.arange(COLUMNS), 3), _ACROSS, strict=True):
+                if self.cells[np.ix_(rows, columns)].mean() < EMPTY_SHARE:
+                    places.append(f"{down} {across}")
+        return tuple(places)
+
+
+def find_coverage(corners_px: FloatArray, size_px: tuple[int, int]) -> Coverage:
+    """Find it from all pictures' corners, shape (..., 2)."""
+    flat = corners_px.reshape(-1, 2) + 0.5
+    counts, _, _ = np.histogram2d(
+        flat[:, 1], flat[:, 0], bins=(ROWS, COLUMNS), range=((0.0, size_px[1]), (0.0, size_px[0]))
+    )
+    return Coverage(cells=counts > 0)
+
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
+MOST_PICTURES = 200
+
+
+def list_pictures(field: str, where: str) -> list[Path]:
+    """List a folder's pictures, or a pattern's, sorted by name; raise InvalidValueError when there are none."""
+    folder = Path(where)
+    found = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(where))  # noqa: PTH207 - absolute patterns too
+    pictures = sorted(path for path in found if path.suffix.lower() in SUFFIXES and path.is_file())
+    if not 1 <= len(pictures) <= MOST_PICTURES:
+        bound = f"a folder or a pattern with 1 to {MOST_PICTURES} pictures ({' '.join(SUFFIXES)})"
+        raise InvalidValueError(field, f"{where} ({len(pictures)} pictures)", bound)
+    return pictures
+
+
+def match_pictures(depth: list[Path], color: list[Path]) -> tuple[list[tuple[Path, Path]], list[str]]:
+    """Pair the depth camera's pictures with the colour camera's.
+
+    Returns
+    -------
+    tuple
+        The pairs, and the names of pictures without a partner.
+
+    Raises
+    ------
+    InvalidValueError
+        No names are equal, and the numbers of pictures differ.
+    """
+    by_stem = {path.stem: path for path in color}
+    if len(by_stem) != len(color) or len({path.stem for path in depth}) != len(depth):
+        raise InvalidValueError("pictures", "two of one name", "one picture of a name for each camera")
+    pairs = [(path, by_stem[path.stem]) for path in depth if path.stem in by_stem]
+    if pairs:
+        paired = {path.stem for path, _ in pairs}
+        return pairs, [path.name for path in depth + color if path.stem not in paired]
+    if len(depth) != len(color):
+        bound = f"as many as the depth camera's ({len(depth)}), or named as they are"
+        raise InvalidValueError("color-pictures", f"{len(color)} pictures", bound)
+    return list(zip(depth, color, strict=True)), []

@@ -8,8 +8,7 @@ import numpy as np
 
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.calibration.procedures.accuracy import AT_MM, PairAccuracy, judge_pair
-from engine.calibration.procedures.boards import Board, find_corners, read_picture
-from engine.calibration.procedures.coverage import Coverage, find_coverage
+from engine.calibration.procedures.boards import Board, Coverage, find_corners, find_coverage, read_picture
 from engine.calibration.procedures.stereo_pair import BoardPair, PairFit, PictureSizes, fit_pair
 from engine.core.errors import CalibrationError, InvalidValueError
 from engine.core.geometry import Intrinsics

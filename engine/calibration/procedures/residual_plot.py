@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from engine.calibration.procedures.boards import COLUMNS, ROWS, Coverage
 from engine.calibration.procedures.checkerboard import CheckerboardResult
-from engine.calibration.procedures.coverage import COLUMNS, ROWS, Coverage
 from engine.calibration.procedures.stereo_pair import PairFit
 from engine.core.frames import FloatArray
 from engine.core.geometry import Intrinsics

@@ -2,21 +2,141 @@
 
 Our own parser, because the runtime's player loses frames when it is read faster or slower than real time. A damaged
 file gives the frames before the damage, then one clear error.
+
+Content of an ``.oni`` file, as returned by :func:`engine.capture.oni.reader.describe`.
 """
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from engine.capture.oni import layout
-from engine.capture.oni.description import RecordingDescription, Tally
-from engine.capture.oni.layout import RecordType
-from engine.capture.oni.records import FileHeader, Record, read_file_header, walk_records
+from engine.capture.oni import records
+from engine.capture.oni.records import FileHeader, Record, RecordType, read_file_header, walk_records
 from engine.capture.oni.streams import CodedFrame, NodeTable, StreamDescription
 from engine.core.errors import RecordingError
 from engine.core.files import open_plain
+
+_MAX_LISTED_GAPS = 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """A place where frames are missing: after which frame, when [us], how many."""
+
+    after_frame: int
+    timestamp_us: int
+    missed_frames: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamSummary:
+    """Content of one stream.
+
+    Attributes
+    ----------
+    claimed_frames
+        Number that the file announces; None where it does not.
+    nominal_fps, measured_fps
+        Rate as announced and as the timestamps have it [1/s]; None for fewer than two frames.
+    gaps
+        The first hundred places where frames are missing.
+    """
+
+    codec: str
+    width: int
+    height: int
+    frames: int
+    claimed_frames: int | None
+    missed_frames: int
+    nominal_fps: int
+    measured_fps: float | None
+    first_timestamp_us: int | None
+    last_timestamp_us: int | None
+    coded_bytes: int
+    has_shift_table: bool
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingDescription:
+    """Content of a recording, as far as it is readable; ``damage`` is what ends it, None if it is intact."""
+
+    name: str
+    file_bytes: int
+    version: str
+    duration_s: float
+    depth: StreamSummary
+    color: StreamSummary | None
+    is_checked: bool
+    damage: str | None
+
+    @property
+    def depth_frames(self) -> int:
+        """Depth frames that can be read."""
+        return self.depth.frames
+
+    def raise_damage(self) -> None:
+        """Raise RecordingError if the recording is not whole."""
+        if self.damage is not None:
+            raise RecordingError(self.damage)
+
+    def document(self) -> dict[str, object]:
+        """Return plain values, for JSON."""
+        return asdict(self)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts one stream's frames."""
+
+    frames: int = 0
+    missed_frames: int = 0
+    coded_bytes: int = 0
+    first_us: int | None = None
+    last_us: int | None = None
+    last_id: int = 0
+    gaps: list[Gap] = field(default_factory=list)
+
+    def add(self, frame: CodedFrame) -> None:
+        """Count one more frame, in order."""
+        if frame.missed_frames:
+            self.missed_frames += frame.missed_frames
+            if len(self.gaps) < _MAX_LISTED_GAPS:
+                self.gaps.append(
+                    Gap(
+                        after_frame=self.last_id,
+                        timestamp_us=self.last_us or 0,
+                        missed_frames=frame.missed_frames,
+                    )
+                )
+        self.frames += 1
+        self.coded_bytes += frame.coded_bytes
+        self.first_us = frame.timestamp_us if self.first_us is None else self.first_us
+        self.last_us, self.last_id = frame.timestamp_us, frame.frame_id
+
+    def summary(self, stream: StreamDescription) -> StreamSummary:
+        """Return the summary of the counted frames."""
+        span_us = self.last_us - self.first_us if self.last_us is not None and self.first_us is not None else 0
+        intervals = self.frames - 1 + self.missed_frames
+        return StreamSummary(
+            codec=stream.codec,
+            width=stream.size_px[0],
+            height=stream.size_px[1],
+            frames=self.frames,
+            claimed_frames=stream.claimed_frames,
+            missed_frames=self.missed_frames,
+            nominal_fps=stream.fps,
+            measured_fps=intervals * 1e6 / span_us if intervals > 0 and span_us > 0 else None,
+            first_timestamp_us=self.first_us,
+            last_timestamp_us=self.last_us,
+            coded_bytes=self.coded_bytes,
+            has_shift_table=stream.has_shift_table,
+            gaps=tuple(self.gaps),
+        )
+
 
 _US_PER_S = 1_000_000
 _MAX_TIMESTAMP_US = 2**62
@@ -143,10 +263,10 @@ class _Counter:
         self._last: tuple[int, int] | None = None
 
     def frame(self, record: Record, stream: StreamDescription, header: FileHeader, payload: bytes) -> CodedFrame:
-        if len(record.fields) < layout.FRAME_FIELDS.size:
+        if len(record.fields) < records.FRAME_FIELDS.size:
             msg = f"damaged at byte {record.at}: a frame without time and number"
             raise RecordingError(msg)
-        timestamp_us, frame_id = layout.FRAME_FIELDS.unpack_from(record.fields)
+        timestamp_us, frame_id = records.FRAME_FIELDS.unpack_from(record.fields)
         self._check(record.at, stream, timestamp_us, frame_id, header.last_timestamp_us)
         missed_frames = self._count_missed(timestamp_us, frame_id)
         self._last = timestamp_us, frame_id

@@ -2,9 +2,15 @@
 
 One head and its fields are in memory at a time, and a payload only on request. Every size is checked against the file's
 own and against a bound before anything is read. A file that is cut or damaged yields its records in order, then raises.
+
+The bytes around the pictures of an ``.oni`` file: header, record heads, nodes and properties.
+
+A file is a 24-byte header and a chain of records: head, fields, payload. Since 1.0.1.0 a head is 28 bytes (64-bit undo
+position); before, 24. Everything is little-endian and packed.
 """
 
 import contextlib
+import enum
 import os
 import struct
 from collections.abc import Iterator
@@ -12,9 +18,84 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from engine.capture.oni import layout
-from engine.capture.oni.layout import RecordType
 from engine.core.errors import RecordingError
+
+FILE_HEADER = struct.Struct("<4sBBHIQI")
+RECORD_HEAD = struct.Struct("<4sIIIIQ")
+RECORD_HEAD_32 = struct.Struct("<4sIIIII")
+FRAME_FIELDS = struct.Struct("<QI")
+SEEK_ENTRY = struct.Struct("<QIQ")
+NODE_FIELDS = struct.Struct("<I4sIQQQ")
+DATA_BEGIN_FIELDS = struct.Struct("<IQ")
+FILE_MAGIC = b"NI10"
+RECORD_MAGIC = b"NIR\0"
+VERSION = (1, 0, 1, 0)
+FIRST_64_BIT_VERSION = (1, 0, 1, 0)
+OLDEST_VERSION = (1, 0, 0, 4)
+UNKNOWN_TIMESTAMP = 2**64 - 1
+
+DEPTH_NODE, COLOR_NODE = 1, 2
+CODEC_DEPTH, CODEC_JPEG, CODEC_NONE = "16zT", "JPEG", "NONE"
+
+
+class RecordType(enum.IntEnum):
+    """Type of a record."""
+
+    NODE_ADDED_1_0_0_4 = 2
+    INT_PROPERTY = 3
+    REAL_PROPERTY = 4
+    STRING_PROPERTY = 5
+    GENERAL_PROPERTY = 6
+    NODE_REMOVED = 7
+    DATA_BEGIN = 8
+    STATE_READY = 9
+    NEW_DATA = 10
+    END = 11
+    NODE_ADDED_1_0_0_5 = 12
+    NODE_ADDED = 13
+    SEEK_TABLE = 14
+
+
+class NodeType(enum.IntEnum):
+    """Type of a node."""
+
+    DEVICE = 1
+    DEPTH = 2
+    IMAGE = 3
+    AUDIO = 4
+    IR = 5
+
+
+def pack_record(
+    record_type: RecordType, node: int, fields: bytes = b"", *, payload_bytes: int = 0, undo_at: int = 0
+) -> bytes:
+    """Write head and fields; the payload, if any, comes right behind."""
+    size = RECORD_HEAD.size + len(fields)
+    return RECORD_HEAD.pack(RECORD_MAGIC, record_type, node, size, payload_bytes, undo_at) + fields
+
+
+def pack_name(name: str) -> bytes:
+    """Write a name: its length with the closing zero, the bytes, the zero."""
+    text = name.encode("ascii") + b"\0"
+    return struct.pack("<I", len(text)) + text
+
+
+def pack_property(record_type: RecordType, node: int, name: str, value: bytes) -> bytes:
+    """Write one property of a node."""
+    return pack_record(record_type, node, pack_name(name) + struct.pack("<I", len(value)) + value)
+
+
+def pack_integers(node: int, **values: int) -> bytes:
+    """Write whole-number properties of a node, in the order given."""
+    return b"".join(
+        pack_property(RecordType.INT_PROPERTY, node, name, struct.pack("<Q", value)) for name, value in values.items()
+    )
+
+
+def pack_general(node: int, **values: bytes) -> bytes:
+    """Write properties of a node that have a layout of their own, in the order given."""
+    return b"".join(pack_property(RecordType.GENERAL_PROPERTY, node, name, value) for name, value in values.items())
+
 
 MAX_FIELDS_BYTES = 1 << 20
 MAX_PAYLOAD_BYTES = 1 << 25
@@ -42,8 +123,8 @@ class FileHeader:
     @property
     def record_head(self) -> struct.Struct:
         """Layout of a record's head in this version."""
-        is_64_bit = self.version >= layout.FIRST_64_BIT_VERSION
-        return layout.RECORD_HEAD if is_64_bit else layout.RECORD_HEAD_32
+        is_64_bit = self.version >= FIRST_64_BIT_VERSION
+        return RECORD_HEAD if is_64_bit else RECORD_HEAD_32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,18 +178,18 @@ def read_file_header(file: BinaryIO) -> FileHeader:
     if not head:
         msg = "empty: the file has no bytes"
         raise RecordingError(msg)
-    if not head.startswith(layout.FILE_MAGIC):
+    if not head.startswith(FILE_MAGIC):
         raise RecordingError(f"no OpenNI recording: {_what_it_is(head)}")
-    if len(head) < layout.FILE_HEADER.size:
+    if len(head) < FILE_HEADER.size:
         msg = f"cut within its header, at byte {len(head)}"
         raise RecordingError(msg)
-    _, *version, last_us, _ = layout.FILE_HEADER.unpack_from(head)
+    _, *version, last_us, _ = FILE_HEADER.unpack_from(head)
     major, minor, maintenance, build = version
-    if not layout.OLDEST_VERSION <= (major, minor, maintenance, build) <= layout.VERSION:
+    if not OLDEST_VERSION <= (major, minor, maintenance, build) <= VERSION:
         msg = f"of format version {major}.{minor}.{maintenance}.{build}: 1.0.0.4 to 1.0.1.0 can be read"
         raise RecordingError(msg)
-    file.seek(layout.FILE_HEADER.size)
-    is_known = last_us not in {0, layout.UNKNOWN_TIMESTAMP}
+    file.seek(FILE_HEADER.size)
+    is_known = last_us not in {0, UNKNOWN_TIMESTAMP}
     return FileHeader(version=(major, minor, maintenance, build), last_timestamp_us=last_us if is_known else None)
 
 
@@ -132,7 +213,7 @@ def walk_records(file: BinaryIO, header: FileHeader) -> Iterator[Record]:
         The file is cut or damaged here; everything before it was yielded.
     """
     end = os.fstat(file.fileno()).st_size
-    at = layout.FILE_HEADER.size
+    at = FILE_HEADER.size
     while True:
         file.seek(at)
         record = _read_record(file, header.record_head, at, end)
@@ -155,7 +236,7 @@ def trim(path: Path) -> None:
     """Truncate the file after the end record; the runtime's recorder leaves as many unused bytes there."""
     with path.open("r+b") as file:
         header = read_file_header(file)
-        at = layout.FILE_HEADER.size
+        at = FILE_HEADER.size
         for record in walk_records(file, header):
             at = record.payload_at + record.payload_bytes
         file.truncate(at + header.record_head.size)
@@ -170,7 +251,7 @@ def _read_record(file: BinaryIO, form: struct.Struct, at: int, end: int) -> Reco
         msg = f"cut at byte {end}, within the head of a record"
         raise RecordingError(msg)
     magic, number, node, size, payload_bytes, _ = form.unpack(head)
-    if magic != layout.RECORD_MAGIC:
+    if magic != RECORD_MAGIC:
         msg = f"damaged at byte {at}: no record begins there"
         raise RecordingError(msg)
     try:

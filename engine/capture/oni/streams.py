@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from engine.capture.oni import codec, layout, unpacking
-from engine.capture.oni.layout import NodeType, RecordType
-from engine.capture.oni.records import Fields, FileHeader, Record
+from engine.capture.oni import codec, records
+from engine.capture.oni.records import Fields, FileHeader, NodeType, Record, RecordType
 from engine.core.errors import RecordingError
 from engine.core.frames import ColorImage, DepthImage
 
@@ -54,15 +53,15 @@ class StreamDescription:
 
     def decode_depth(self, payload: bytes) -> DepthImage:
         """Decode one depth picture [mm]; raise RecordingError if these bytes are none."""
-        if self.codec == layout.CODEC_DEPTH:
-            depth = unpacking.decode_16zt(payload, self.shape)
+        if self.codec == records.CODEC_DEPTH:
+            depth = codec.decode_16zt(payload, self.shape)
         else:
             depth = self._raw(payload, 2).view("<u2").astype(np.uint16).reshape(self.shape)
         return (depth + np.uint16(5)) // np.uint16(10) if self.pixel_format == _DEPTH_100_UM else depth
 
     def decode_color(self, payload: bytes) -> ColorImage:
         """Decode one colour picture to RGB; raise RecordingError if these bytes are none."""
-        if self.codec == layout.CODEC_JPEG:
+        if self.codec == records.CODEC_JPEG:
             return codec.decode_jpeg(payload, self.shape)
         if self.pixel_format == _GRAY8:
             gray = self._raw(payload, 1).reshape(self.shape)
@@ -73,7 +72,7 @@ class StreamDescription:
         """Raise RecordingError if this stream's pictures are of a kind that cannot be read."""
         is_depth = self.node_type == NodeType.DEPTH
         kind = "depth" if is_depth else "colour"
-        codecs = {layout.CODEC_DEPTH, layout.CODEC_NONE} if is_depth else {layout.CODEC_JPEG, layout.CODEC_NONE}
+        codecs = {records.CODEC_DEPTH, records.CODEC_NONE} if is_depth else {records.CODEC_JPEG, records.CODEC_NONE}
         formats = {0, _DEPTH_1_MM, _DEPTH_100_UM} if is_depth else {0, _RGB888, _GRAY8}
         if self.size_px == (0, 0):
             msg = f"the {kind} stream does not announce the size of its pictures"

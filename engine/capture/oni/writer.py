@@ -12,9 +12,9 @@ from typing import Literal, Self
 
 import numpy as np
 
-from engine.capture.oni import layout
+from engine.capture.oni import records
 from engine.capture.oni.codec import encode_16zt, encode_jpeg
-from engine.capture.oni.layout import COLOR_NODE, DEPTH_NODE, NodeType, RecordType
+from engine.capture.oni.records import COLOR_NODE, DEPTH_NODE, NodeType, RecordType
 from engine.core.frames import ColorImage, DepthImage
 
 # An Xtion's and a Carmine's field of view, horizontal and vertical [rad].
@@ -97,7 +97,7 @@ class OniWriter:
     def write_depth(self, timestamp_us: int, depth_mm: DepthImage, *, frame_id: int | None = None) -> None:
         """Append a depth frame [mm]; a ``frame_id`` beyond the next one means that frames were lost."""
         _check_shape(depth_mm.shape, self._depth.size_px, depth_mm.dtype, np.dtype(np.uint16))
-        is_coded = self._depth.codec == layout.CODEC_DEPTH
+        is_coded = self._depth.codec == records.CODEC_DEPTH
         payload = encode_16zt(depth_mm) if is_coded else _bytes_of(depth_mm, "<u2")
         self.write_depth_payload(timestamp_us, payload, frame_id=frame_id)
 
@@ -105,7 +105,7 @@ class OniWriter:
         """Append a colour frame, RGB."""
         stream = self._color_stream()
         _check_shape(rgb.shape[:2], stream.size_px, rgb.dtype, np.dtype(np.uint8))
-        is_coded = stream.codec == layout.CODEC_JPEG
+        is_coded = stream.codec == records.CODEC_JPEG
         payload = encode_jpeg(rgb, self._jpeg_quality) if is_coded else _bytes_of(rgb, "u1")
         self.write_color_payload(timestamp_us, payload, frame_id=frame_id)
 
@@ -162,26 +162,26 @@ class OniWriter:
             stream.added_at = self._file.tell()
             self._file.write(self._node_added(stream, seek_table_at=0))
             self._file.write(
-                layout.pack_general(stream.node, xnMapOutputMode=struct.pack("<III", width, height, fps))
-                + layout.pack_integers(
+                records.pack_general(stream.node, xnMapOutputMode=struct.pack("<III", width, height, fps))
+                + records.pack_integers(
                     stream.node,
                     oniRequiredFrameSize=width * height * (2 if is_depth else 3),
                     xnIsGenerating=1,
                     xnPixelFormat=_XN_GRAYSCALE16 if is_depth else _XN_RGB24,
                     oniPixelFormat=_DEPTH_IN_MM if is_depth else _RGB888,
                 )
-                + (layout.pack_integers(stream.node, xnDeviceMaxDepth=max_depth_mm) if is_depth else b"")
+                + (records.pack_integers(stream.node, xnDeviceMaxDepth=max_depth_mm) if is_depth else b"")
                 # Without xnCropping the runtime's player swallows every frame.
-                + layout.pack_general(
+                + records.pack_general(
                     stream.node,
                     xnFOV=struct.pack("<dd", *(depth_fov_rad if is_depth else color_fov_rad)),
                     xnCropping=bytes(12),
                 )
-                + layout.pack_record(RecordType.STATE_READY, stream.node)
+                + records.pack_record(RecordType.STATE_READY, stream.node)
             )
         for stream in self._streams:
-            fields = layout.DATA_BEGIN_FIELDS.pack(2**32 - 1, layout.UNKNOWN_TIMESTAMP)
-            self._file.write(layout.pack_record(RecordType.DATA_BEGIN, stream.node, fields))
+            fields = records.DATA_BEGIN_FIELDS.pack(2**32 - 1, records.UNKNOWN_TIMESTAMP)
+            self._file.write(records.pack_record(RecordType.DATA_BEGIN, stream.node, fields))
 
     def _append(self, stream: _Stream, timestamp_us: int, payload: Payload, frame_id: int | None) -> None:
         frame_id = stream.frame_id + 1 if frame_id is None else frame_id
@@ -189,9 +189,9 @@ class OniWriter:
             msg = f"{stream.name} frame {frame_id} at {timestamp_us} us cannot follow frame {stream.frame_id}"
             raise ValueError(msg)
         at = self._file.tell()
-        fields = layout.FRAME_FIELDS.pack(timestamp_us, frame_id)
+        fields = records.FRAME_FIELDS.pack(timestamp_us, frame_id)
         self._file.write(
-            layout.pack_record(
+            records.pack_record(
                 RecordType.NEW_DATA, stream.node, fields, payload_bytes=len(payload), undo_at=stream.last_at
             )
         )
@@ -205,9 +205,9 @@ class OniWriter:
 
     def _write_tail(self) -> None:
         for stream in self._streams:
-            self._file.write(layout.pack_record(RecordType.NODE_REMOVED, stream.node, undo_at=stream.added_at))
+            self._file.write(records.pack_record(RecordType.NODE_REMOVED, stream.node, undo_at=stream.added_at))
         seek_tables_at = [self._write_seek_table(stream) for stream in self._streams]
-        self._file.write(layout.pack_record(RecordType.END, 0))
+        self._file.write(records.pack_record(RecordType.END, 0))
         for stream, at in zip(self._streams, seek_tables_at, strict=True):
             self._file.seek(stream.added_at)
             self._file.write(self._node_added(stream, seek_table_at=at))
@@ -215,20 +215,20 @@ class OniWriter:
         self._file.write(self._file_header())
 
     def _write_seek_table(self, stream: _Stream) -> int:
-        table = b"".join(layout.SEEK_ENTRY.pack(*entry) for entry in stream.seek_entries)
+        table = b"".join(records.SEEK_ENTRY.pack(*entry) for entry in stream.seek_entries)
         if len(table) > _LARGEST_RECORD_BYTES:
             return 0  # such a file plays without one; it only seeks slowly
         at = self._file.tell()
-        self._file.write(layout.pack_record(RecordType.SEEK_TABLE, stream.node, payload_bytes=len(table)) + table)
+        self._file.write(records.pack_record(RecordType.SEEK_TABLE, stream.node, payload_bytes=len(table)) + table)
         return at
 
     def _file_header(self) -> bytes:
         highest_node = max(stream.node for stream in self._streams)
-        return layout.FILE_HEADER.pack(layout.FILE_MAGIC, *layout.VERSION, self._max_timestamp_us, highest_node)
+        return records.FILE_HEADER.pack(records.FILE_MAGIC, *records.VERSION, self._max_timestamp_us, highest_node)
 
     @staticmethod
     def _node_added(stream: _Stream, *, seek_table_at: int) -> bytes:
-        fields = layout.NODE_FIELDS.pack(
+        fields = records.NODE_FIELDS.pack(
             stream.node_type,
             stream.codec.encode("ascii"),
             stream.frame_id,
@@ -236,7 +236,7 @@ class OniWriter:
             stream.max_timestamp_us,
             seek_table_at,
         )
-        return layout.pack_record(RecordType.NODE_ADDED, stream.node, layout.pack_name(stream.name) + fields)
+        return records.pack_record(RecordType.NODE_ADDED, stream.node, records.pack_name(stream.name) + fields)
 
 
 def _bytes_of(picture: DepthImage | ColorImage, kind: str) -> memoryview:

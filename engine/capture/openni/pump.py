@@ -9,9 +9,8 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from engine.capture.openni.device import OpenNiDevice
-from engine.capture.openni.frame import DEPTH, DeviceFrame
-from engine.capture.openni.lasting_threads import run_on_lasting_thread
+from engine.capture.openni.c_api import run_on_lasting_thread
+from engine.capture.openni.device import DEPTH, DeviceFrame, OpenNiDevice
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
 

@@ -15,13 +15,11 @@ from ctypes import byref
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from engine.capture.oni.layout import RecordType
 from engine.capture.oni.reader import describe, missed_between
-from engine.capture.oni.records import count_records
+from engine.capture.oni.records import RecordType, count_records
 from engine.capture.openni import c_api as c
-from engine.capture.openni.device import OpenNiDevice
-from engine.capture.openni.frame import COLOR, DEPTH
-from engine.capture.openni.lasting_threads import run_on_lasting_thread
+from engine.capture.openni.c_api import run_on_lasting_thread
+from engine.capture.openni.device import COLOR, DEPTH, OpenNiDevice
 from engine.capture.openni.pump import CapturePump
 from engine.capture.source import ListedCamera, SourceDescription
 from engine.core.clock import Clock

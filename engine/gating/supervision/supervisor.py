@@ -13,7 +13,7 @@ import numpy as np
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.frames import NODE_COLUMNS, FloatArray, LostReason, Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
 from engine.core.signals import is_wide
 from engine.gating.gate import Interruption

@@ -7,9 +7,8 @@ from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
-from engine.core.ranges import Ranges
 from engine.core.replacing import replace
-from engine.core.signals import check_choice, signal_of
+from engine.core.signals import Ranges, check_choice, signal_of
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
 MAX_MOTION_MM = 200.0

@@ -8,9 +8,8 @@ from engine.core.breath import SignalChoice
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
-from engine.core.ranges import Ranges
 from engine.core.replacing import replace
-from engine.core.signals import signal_of
+from engine.core.signals import Ranges, signal_of
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.conditions import (
     ENDED_BY,

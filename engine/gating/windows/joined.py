@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.ranges import Ranges
 from engine.core.replacing import replace
+from engine.core.signals import Ranges
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
 from engine.gating.windows.conditions import ConditionState, HoldStage, WindowInput, WindowVerdict

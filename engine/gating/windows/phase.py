@@ -6,8 +6,7 @@ from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
-from engine.core.ranges import Ranges
-from engine.core.signals import check_choice
+from engine.core.signals import Ranges, check_choice
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
 

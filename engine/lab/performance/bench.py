@@ -12,22 +12,19 @@ from engine.capture.oni.reader import describe
 from engine.core.bounds import check_number
 from engine.core.files import write_whole
 from engine.lab.performance.frames import FrameSizes, time_frames
-from engine.lab.performance.learning import (
-    FitSizes,
-    time_fits,
-    time_frames_while_fitting,
-)
 from engine.lab.performance.machine import Machine, on_cores, this_machine
-from engine.lab.performance.marks import SpeedMark
 from engine.lab.performance.memory import MemorySizes, watch_memory
-from engine.lab.performance.results import SpeedFigures, SpeedSizes
+from engine.lab.performance.results import SpeedFigures, SpeedMark, SpeedSizes
 from engine.lab.performance.session import Recording
 from engine.lab.performance.throughput import (
     CommandRun,
+    FitSizes,
     RunCommand,
     Throughput,
     measure_by_command,
     steady_rate,
+    time_fits,
+    time_frames_while_fitting,
 )
 
 SCHEMA = "tidegate.speed/1"

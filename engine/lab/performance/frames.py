@@ -15,11 +15,12 @@ from engine.capture.oni.streams import CodedFrame
 from engine.core.compiled import numpy_forms
 from engine.core.frames import FloatArray, MeasurementState, RgbdFrame
 from engine.lab.evaluation.methods.plain import ARTICLE_FPS, PlainReading
-from engine.lab.performance.figures import Timing, timing_of
 from engine.lab.performance.machine import (
     SpeedBenchError,
+    Timing,
     set_memory_aside,
     settle_as_the_service,
+    timing_of,
 )
 from engine.lab.performance.session import READ_TIMEOUT_S, BenchSession, EndlessSource, Recording
 from engine.motion.learning.trainer import InlineTrainer

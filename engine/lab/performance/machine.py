@@ -1,4 +1,7 @@
-"""Description of the machine, and measuring processes pinned to chosen cores."""
+"""Description of the machine, and measuring processes pinned to chosen cores.
+
+Statistics of measured times: medians over blocks, which other programs on the machine disturb least.
+"""
 
 import ctypes
 import gc
@@ -17,10 +20,11 @@ from typing import ParamSpec, TypeVar
 import cv2
 import numpy as np
 
+from engine.core.clock import NS_PER_S, NS_PER_US
 from engine.core.compiled import frame_path
 from engine.core.errors import TidegateError
-from engine.core.native_memory import keep_freed_memory
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.frames import FloatArray
+from engine.core.native_process import keep_calls_in_their_thread, keep_freed_memory
 
 BUSY_LOAD = 1.0
 _HEAP_FIELDS = (
@@ -202,3 +206,47 @@ def _processor() -> str:
         lines = []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.machine()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timing:
+    """Statistics of many durations.
+
+    Attributes
+    ----------
+    median_us, p99_us
+        Median over the blocks of each block's median and 99th percentile [us].
+    p999_us, max_us
+        99.9th percentile and largest of all samples together [us].
+    """
+
+    median_us: float
+    p99_us: float
+    p999_us: float
+    max_us: float
+    samples: int
+    blocks: int
+
+
+def timing_of(blocks_ns: Sequence[FloatArray]) -> Timing:
+    """Compute the statistics of blocks of durations [ns], shape (samples,) each; all NaN if there are none."""
+    filled = [np.asarray(block, dtype=np.float64) / NS_PER_US for block in blocks_ns if len(block)]
+    if not filled:
+        nan = float("nan")
+        return Timing(median_us=nan, p99_us=nan, p999_us=nan, max_us=nan, samples=0, blocks=0)
+    everything = np.concatenate(filled)
+    return Timing(
+        median_us=float(np.median([np.median(block) for block in filled])),
+        p99_us=float(np.median([np.percentile(block, 99.0) for block in filled])),
+        p999_us=float(np.percentile(everything, 99.9)),
+        max_us=float(everything.max()),
+        samples=len(everything),
+        blocks=len(filled),
+    )
+
+
+def frames_per_s(stamps_ns: FloatArray) -> float:
+    """Mean rate of events at these times [1/s]; NaN for fewer than two."""
+    if len(stamps_ns) < 2:
+        return float("nan")
+    return (len(stamps_ns) - 1) * NS_PER_S / float(stamps_ns[-1] - stamps_ns[0])

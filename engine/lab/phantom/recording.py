@@ -31,11 +31,10 @@ from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure, find_build
 from engine.lab.phantom.costal import CostalStickers
 from engine.lab.phantom.falsifications import Falsification
-from engine.lab.phantom.flow import Flow, breathe_through
-from engine.lab.phantom.laser import LaserTruth, hang_laser, truth_columns
+from engine.lab.phantom.laser import Flow, LaserTruth, breathe_through, hang_laser, truth_columns
 from engine.lab.phantom.scenarios import check_scenario
 from engine.lab.phantom.scene import Scene, Script
-from engine.lab.phantom.sensor_models import USUAL, find_sensor
+from engine.lab.phantom.sensor import USUAL, find_sensor
 from engine.lab.phantom.studio import Studio
 from engine.lab.phantom.truth import POINTS_RC, Grid, Truth, load_truth, roi_nodes
 from engine.qa.recorded_traces import Trace, read_trace

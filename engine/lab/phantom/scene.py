@@ -14,7 +14,7 @@ from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.falsifications import APPEAR_S, Falsification
 from engine.lab.phantom.rig import build_rig
 from engine.lab.phantom.scenarios import Pose, plan
-from engine.lab.phantom.sensor_models import USUAL
+from engine.lab.phantom.sensor import USUAL
 from engine.lab.phantom.truth import Grid, RoiTruth, Skin, sticker_px, volume_ratio
 from engine.lab.phantom.view import Rays
 from engine.qa.recorded_traces import Trace

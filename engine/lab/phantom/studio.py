@@ -17,12 +17,11 @@ from engine.lab.phantom.anatomy import BODY_HALF_MM, TRUNK_HALF_MM, Anatomy
 from engine.lab.phantom.body import Map, blur, sample_body
 from engine.lab.phantom.color import ColorCamera, blur_lens, paint_body, paint_room, paint_trunk, stick
 from engine.lab.phantom.costal import CostalStickers
-from engine.lab.phantom.holes import Holes, cast_shadow, find_holes
 from engine.lab.phantom.laser import LaserLight, hang_laser
 from engine.lab.phantom.rig import HEIGHT_PX, WIDTH_PX, chain, couch_from_body
 from engine.lab.phantom.scenarios import Pose
 from engine.lab.phantom.scene import Scene, Script
-from engine.lab.phantom.sensor import Sensor, Unit
+from engine.lab.phantom.sensor import Holes, Sensor, Unit, cast_shadow, find_holes
 from engine.lab.phantom.truth import Grid
 from engine.lab.phantom.view import FLOOR_MM, Frustum, Rays, View
 

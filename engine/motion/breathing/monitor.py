@@ -10,17 +10,38 @@ from dataclasses import dataclass, field
 
 from engine.core.breath import Breath, BreathEventKind, SignalChoice
 from engine.core.replacing import replace
-from engine.motion.breathing import breathing_history as histories
-from engine.motion.breathing import events as event_rules
-from engine.motion.breathing.bins import Bins, follow_bins
+from engine.motion.breathing import breathing_history as histories, events as event_rules
 from engine.motion.breathing.breathing_habit import BreathingHabit
 from engine.motion.breathing.breathing_history import INITIAL_BREATHS, BreathingHistory, suspending
-from engine.motion.breathing.current_breath import CurrentBreath, shifted_breath, with_bin, with_turn
-from engine.motion.breathing.phase import PhaseTrack, advance, synchronise
-from engine.motion.breathing.position_check import ExpectedPosition, contradicts_phase
-from engine.motion.breathing.report import AFTER_GAP, APNOEA, ELSEWHERE, HELD, NOT_MEASURED, breath_of
-from engine.motion.breathing.spikes import Spikes, follow_spikes
-from engine.motion.breathing.turning_points import FALLING, RISING, UNKNOWN, TurningPoints, follow_turns
+from engine.motion.breathing.events import Spikes, follow_spikes
+from engine.motion.breathing.position_check import (
+    CurrentBreath,
+    ExpectedPosition,
+    contradicts_phase,
+    shifted_breath,
+    with_bin,
+    with_turn,
+)
+from engine.motion.breathing.report import (
+    AFTER_GAP,
+    APNOEA,
+    ELSEWHERE,
+    HELD,
+    NOT_MEASURED,
+    PhaseTrack,
+    advance,
+    breath_of,
+    synchronise,
+)
+from engine.motion.breathing.turning_points import (
+    FALLING,
+    RISING,
+    UNKNOWN,
+    Bins,
+    TurningPoints,
+    follow_bins,
+    follow_turns,
+)
 
 GAP_S = 0.55
 SMOOTHING_S = 0.08

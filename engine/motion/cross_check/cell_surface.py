@@ -16,7 +16,7 @@ import numpy as np
 
 from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, RoiDepth, frozen
-from engine.core.least_squares import least_squares
+from engine.core.geometry import least_squares
 from engine.core.motion_model import MotionModel
 
 STRIDE_PX = 4

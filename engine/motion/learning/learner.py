@@ -3,20 +3,20 @@
 Owned by the pipeline's thread, and separate from measuring: the frame path does not depend on how models are made. The
 model's life is in :mod:`engine.motion.learning.lifecycle`, the reference in `reference_state`, the positions that are
 proposed for it in `reference_positions`, refits in `refit`.
+
+What a recording's first pass has learned, for the second.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import FloatArray, Motion
-from engine.core.learning_events import LearningEvent
-from engine.core.learning_status import LearningStatus
+from engine.core.learning_status import LearningEvent, LearningStatus, PatientMatch
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import LearnedLevels, Ranges
-from engine.core.reference_distance import ReferenceDistance
-from engine.core.reference_proposal import ReferenceMoment
-from engine.motion.learning.learned import Learned
+from engine.core.reference import ReferenceDistance, ReferenceMoment
+from engine.core.signals import LearnedLevels, Ranges
 from engine.motion.learning.learning_journal import LearningJournal
 from engine.motion.learning.lifecycle import LearningSetup, ModelLifecycle
 from engine.motion.learning.prepared_model import PreparedModel, Reference
@@ -27,6 +27,17 @@ from engine.motion.learning.refit import SessionRefits
 from engine.motion.learning.tasks import Outcome
 from engine.motion.learning.trainer import Trainer
 from engine.motion.learning.training_set import TrainingFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Learned:
+    """A model, and the reference that motion was measured from; ``reference`` is None if nothing was measured."""
+
+    active: PreparedModel | None
+    reference: Reference | None
+    reference_number: int
+    needs_reference: bool
+    patient_match: PatientMatch | None
 
 
 class Learner:

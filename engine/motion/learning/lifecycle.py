@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 
 from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
 from engine.core.frames import TrainingProgress
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind, PatientMatch
 from engine.core.motion_model import MotionModel
-from engine.core.patient_match import PatientMatch
 from engine.motion.learning.depth_steps import StepsJob, steps_mismatch
-from engine.motion.learning.event_figures import match_figures, transfer_figures
-from engine.motion.learning.learning_journal import LearningJournal
+from engine.motion.learning.learning_journal import LearningJournal, match_figures, transfer_figures
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_positions import ReferencePositions

@@ -18,8 +18,16 @@ import numpy.typing as npt
 from engine.core.errors import InvalidValueError, ModelError
 from engine.core.files import open_plain, whole_file
 from engine.core.frames import FloatArray
-from engine.core.motion_model import DEPTH_STEPS, MotionModel
-from engine.core.provenance import MAX_SETTINGS, QUALITY_BOUNDS, ModelOrigin, Provenance, TrainingQuality, check_text
+from engine.core.motion_model import (
+    DEPTH_STEPS,
+    MAX_SETTINGS,
+    QUALITY_BOUNDS,
+    ModelOrigin,
+    MotionModel,
+    Provenance,
+    TrainingQuality,
+    check_text,
+)
 from engine.core.strict_json import ROOT, StrictJson
 
 SCHEMA = "tidegate.model/2"

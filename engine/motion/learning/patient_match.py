@@ -12,10 +12,10 @@ import numpy as np
 
 from engine.core.bounds import check_numbers
 from engine.core.errors import ModelMismatchError
-from engine.core.patient_match import PatientMatch
+from engine.core.learning_status import PatientMatch
+from engine.motion.learning.position_fit import rigid_between
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_transfer import Explain
-from engine.motion.learning.rigid_fit import rigid_between
 from engine.motion.learning.training_set import TrainingFrame, Vertices, mean_surface
 
 

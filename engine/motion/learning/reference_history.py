@@ -2,9 +2,15 @@
 
 References are compared as surfaces in the depth camera's frame: that needs no common motion model, so it works over
 retrainings, stored models and a restart of the engine in the same fraction.
+
+Levels and breathing range during training, the range being the scale of windows in per cent.
+
+Computed from the model alone, so that a stored model has the same range: the coefficients of its training frames give
+the depth of every region, and the present reference converts it to motion. The 5th percentile, the end of exhale, is
+0 %; the 95th is 100 %.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from hashlib import sha256
 from json import dumps
@@ -13,19 +19,78 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from engine.core.breath import SignalChoice
-from engine.core.first_reference import FirstReference
+from engine.core.breath import GateSignal, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.position_check import PositionCheck
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
-from engine.core.reference_proposal import ReferenceMoment
-from engine.motion.learning.learned_range import position_of
-from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM, position_between
+from engine.core.reference import FirstReference, ReferenceDistance, ReferenceMoment, SignalLevel
+from engine.core.signals import LearnedLevels, Ranges, ranges_of
+from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM, RigidFit, position_between, rigid_between
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_transfer import ReferenceTransfer
-from engine.motion.learning.rigid_fit import RigidFit, rigid_between
 from engine.motion.stages.regions import RegionLayout
-from engine.motion.stages.surface import grid_triangles, volume_l
+from engine.motion.stages.surface import grid_triangles, vertices_mm, volume_l
+
+MIN_SEEN_SHARE = 0.5
+
+
+def learned_levels(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> LearnedLevels:
+    """Return each signal's levels in the training relative to the reference; signals without levels are left out."""
+    scores = active.model.scores_mm
+    if scores is None or len(scores) < 2:
+        return {}
+    coefficients = np.zeros((len(scores), len(active.node_modes)))
+    coefficients[:, : scores.shape[1]] = scores
+    found = {choice: _signal(choice, active, reference, coefficients) for choice in choices}
+    return {choice: levels for choice, levels in found.items() if np.isfinite(levels).all()}
+
+
+def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
+    """Return the range of each signal relative to the reference [mm or l]; signals without a range are left out."""
+    return ranges_of(learned_levels(active, reference, choices))
+
+
+def _signal(choice: SignalChoice, active: PreparedModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
+    if choice.is_volume:
+        return _volumes_l(active, reference, coefficients)
+    position = position_of(choice, active)
+    if position is None or not active.regions.is_known[position]:
+        return np.full(len(coefficients), np.nan)
+    depth_mm = active.regions.mean_mm[position] + coefficients @ active.regions.modes[position]
+    return np.asarray(reference.regions_mm[position] - depth_mm)
+
+
+def _volumes_l(active: PreparedModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
+    rays = None if active.model.surface_mm is None else _rays(active.model.surface_mm)
+    if rays is None:
+        return np.full(len(coefficients), np.nan)
+    return np.array([reference.volume_above_l(vertices_mm(rays, active.node_depth_mm(one))) for one in coefficients])
+
+
+def _rays(surface_mm: FloatArray) -> FloatArray | None:
+    """Return the depth camera's rays (x/z, y/z) at the nodes, shape (nodes, 2); missing ones are interpolated."""
+    rows, columns = np.divmod(np.arange(len(surface_mm)), NODE_COLUMNS)
+    is_seen = np.asarray(np.isfinite(surface_mm).all(axis=1))
+    if is_seen.sum() < MIN_SEEN_SHARE * len(surface_mm):
+        return None
+    rays = surface_mm[:, :2] / surface_mm[:, 2:]
+    place = np.column_stack([np.ones(len(rows)), rows, columns, rows * columns])
+    plane, *_ = np.linalg.lstsq(place[is_seen], rays[is_seen], rcond=None)
+    return np.where(is_seen[:, None], rays, place @ plane)
+
+
+def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
+    """Index of a signal among the regions' means; None if there is no such cell, point or region."""
+    regions = active.regions
+    match choice.signal:
+        case GateSignal.REGION:
+            row, column = choice.row or 0, choice.column or 0
+            return row * regions.columns + column if row < regions.rows and column < regions.columns else None
+        case GateSignal.POINT:
+            return regions.points_from + choice.index if choice.index < len(regions.layout.points) else None
+        case GateSignal.NAMED:
+            return regions.named_from + choice.index if choice.index < len(regions.layout.named) else None
+    return regions.cells + (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN).index(GateSignal(choice.signal))
+
 
 LEAST_SEEN = 0.9
 """Least share of the surface's nodes that both references need."""

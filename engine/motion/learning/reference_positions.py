@@ -10,9 +10,8 @@ from typing import NamedTuple
 from engine.core.breath import Breath
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import FloatArray, Motion
-from engine.core.ranges import Ranges
-from engine.core.reference_distance import ReferenceDistance
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from engine.core.reference import ReferenceDistance, ReferenceMoment, ReferenceProposal
+from engine.core.signals import Ranges
 from engine.motion.learning.learning_journal import LearningJournal
 from engine.motion.learning.past_frames import FOLLOWED_AT_ONCE, PastBreaths, PastFrames, Stretch
 from engine.motion.learning.prepared_model import PreparedModel, Reference

@@ -13,9 +13,8 @@ import numpy as np
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.frames import FloatArray, Motion, SeenShares, frozen
-from engine.core.ranges import Ranges
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
-from engine.core.signals import signal_of
+from engine.core.reference import ReferenceMoment, ReferenceProposal
+from engine.core.signals import Ranges, signal_of
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_transfer import ReferenceTransfer
 from engine.motion.learning.seen_shares import of_regions

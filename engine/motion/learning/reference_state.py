@@ -7,21 +7,19 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 from engine.core.breath import SignalChoice
-from engine.core.learning_events import LearningEventKind
-from engine.core.ranges import LearnedLevels, Ranges
-from engine.core.reference_proposal import ReferenceMoment
-from engine.motion.learning.event_figures import distance_figures, position_figures
-from engine.motion.learning.learned_range import learned_levels, learned_ranges
-from engine.motion.learning.learning_journal import LearningJournal
+from engine.core.learning_status import LearningEventKind
+from engine.core.reference import ReferenceMoment
+from engine.core.signals import LearnedLevels, Ranges
+from engine.motion.learning.learning_journal import LearningJournal, distance_figures, position_figures
 from engine.motion.learning.prepared_model import PreparedModel, Reference
-from engine.motion.learning.reference_history import ReferenceHistory
+from engine.motion.learning.reference_history import ReferenceHistory, learned_levels, learned_ranges
 from engine.motion.learning.reference_positions import ReferencePositions
 from engine.motion.learning.reference_proposals import MAX_GAP_US
 from engine.motion.learning.reference_transfer import ReferenceTransfer
 
 if TYPE_CHECKING:
     from engine.core.position_check import PositionCheck
-    from engine.core.reference_distance import ReferenceDistance
+    from engine.core.reference import ReferenceDistance
 
 FIRST = "the first reference of this fraction: later ones are measured from it"
 

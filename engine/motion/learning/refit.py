@@ -8,8 +8,8 @@ takes over like a retrained one: the reference is transferred, and never while t
 from dataclasses import replace
 
 from engine.core.errors import ModelError
+from engine.motion.learning.past_frames import StillStretch
 from engine.motion.learning.prepared_model import PreparedModel
-from engine.motion.learning.still_stretch import StillStretch
 from engine.motion.learning.tasks import FitJob, LearningStages, fit_checked
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame

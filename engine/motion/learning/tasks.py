@@ -12,19 +12,22 @@ import numpy as np
 
 from engine.core.errors import TrainingRefusedError
 from engine.core.frames import Projection, RoiDepth, TrainingProgress
-from engine.core.learning_events import Figures
-from engine.core.motion_model import MotionModel
-from engine.core.patient_match import PatientMatch
-from engine.core.provenance import Provenance, TrainingQuality
+from engine.core.learning_status import Figures, PatientMatch
+from engine.core.motion_model import MotionModel, Provenance, TrainingQuality
 from engine.motion.learning.fitting import fit
 from engine.motion.learning.past_frames import PastBreaths, Stretch
 from engine.motion.learning.patient_match import PatientMatchLimits, compare_with_patient
 from engine.motion.learning.prepared_model import PreparedModel
-from engine.motion.learning.quality_maps import with_quality_maps
 from engine.motion.learning.reference_proposals import PastMotion
 from engine.motion.learning.reference_transfer import Explain, ReferenceTransfer, compare_models, recent
 from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.learning.training_quality import find_outliers, refuse_breathless, refuse_disturbed, refuse_moving
+from engine.motion.learning.training_quality import (
+    find_outliers,
+    refuse_breathless,
+    refuse_disturbed,
+    refuse_moving,
+    with_quality_maps,
+)
 from engine.motion.learning.training_set import MAX_GAP_S, TrainingFrame, TrainingSet, Vertices, evenly, mean_surface
 
 QUALITY_FRAMES = 60

@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 
 from engine.core.bounds import check_numbers
 from engine.core.errors import InvalidValueError, ModelError, TrainingFailedError
-from engine.core.native_memory import give_freed_memory_back
+from engine.core.native_process import give_freed_memory_back
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,20 +2,67 @@
 
 Owned by the pipeline's thread. It keeps the last marker positions, their layout at the first training, and the last
 depth of the skin.
+
+Converts a camera's readings to depth [mm]: quantisation steps from the first frames, scale from the calibration.
+
+The table is fixed after the first frames: a model learned with one table is not used with another.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from engine.calibration.camera_calibration import Calibration
-from engine.calibration.quantisation import DepthSteps
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.calibration.camera_calibration import Calibration, DepthCorrection
+from engine.calibration.quantisation import DEPTH_VALUES, DepthSteps, count_readings, depth_table_mm, find_steps
+from engine.core.frames import (
+    NODE_COLUMNS,
+    NODE_ROWS,
+    DepthImage,
+    FloatArray,
+    Lost,
+    LostReason,
+    Markers,
+    RgbdFrame,
+    RoiDepth,
+    frozen,
+)
 from engine.motion.stages import markers as marker_stage
 from engine.motion.stages.markers import MarkerSearch
-from engine.motion.stages.registration import Aligned, align
-from engine.motion.stages.roi import at_nodes, cut_out, roi_nodes
-from engine.motion.tracking.depth_table import DepthTable
+from engine.motion.stages.roi import Aligned, align, at_nodes, cut_out, roi_nodes
+
+# This many pictures contain the depth levels of the region.
+COUNTED_FRAMES = 12
+
+
+class DepthTable:
+    """Estimates the depth of each reading from the first frames."""
+
+    def __init__(self, correction: DepthCorrection | None) -> None:
+        self._correction = correction
+        self._frames = 0
+        self._counts = np.zeros(DEPTH_VALUES, dtype=np.int64)
+        self.steps: DepthSteps | None = None
+        self.table_mm = self._corrected(depth_table_mm(None))
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether enough frames were counted, so that the table is final."""
+        return self._frames >= COUNTED_FRAMES
+
+    def count(self, depth_mm: DepthImage) -> None:
+        """Count one picture's readings; the last one completes the table."""
+        self._counts += count_readings(depth_mm)
+        self._frames += 1
+        if self.is_settled:
+            self.steps = find_steps(self._counts)
+            self.table_mm = self._corrected(depth_table_mm(self.steps))
+
+    def _corrected(self, table_mm: FloatArray) -> FloatArray:
+        correction = self._correction
+        if correction is None:
+            return table_mm
+        return frozen((table_mm * correction.scale + correction.offset_mm).astype(np.float32))
+
 
 ROUNDS_AT_FIRST = 3
 FOLLOWED_SHARE = 0.3

@@ -15,8 +15,16 @@ from typing import TypeVar, cast
 
 from engine.core.errors import TrainingFailedError
 from engine.motion.learning.trainer import OneJobAtATime, outcome_of
-from engine.motion.training_process.server import REPORT, REQUEST, RUNNING, Refusal
-from engine.motion.training_process.shared_value import SharedValueError, make_file, read_value, write_value
+from engine.motion.training_process.server import (
+    REPORT,
+    REQUEST,
+    RUNNING,
+    Refusal,
+    SharedValueError,
+    make_file,
+    read_value,
+    write_value,
+)
 
 # The engine's side of a training process: hands it a job, waits for its report, and reads the answer.
 

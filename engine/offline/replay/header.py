@@ -7,8 +7,8 @@ from typing import Any
 from engine import __version__
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import InvalidValueError, RecordingError
-from engine.core.first_reference import FirstReference, read_first_reference
 from engine.core.motion_model import MotionModel
+from engine.core.reference import FirstReference, read_first_reference
 from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding

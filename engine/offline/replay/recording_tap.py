@@ -2,6 +2,8 @@
 
 Nothing here waits, and nothing here affects the beam. Where the queue is full the tape ends there, with the reason: the
 session can be replayed up to that turn.
+
+A trainer behind the input tap: the frame at which a result arrives depends on a thread, the result does not.
 """
 
 import queue
@@ -9,13 +11,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from engine.control.outputs import GateTransition
-from engine.control.turn_inputs import FrameInput
+from engine.control.turn_reader import FrameInput
+from engine.core.errors import ModelError
 from engine.core.frames import RgbdFrame
-from engine.core.input_tap import InputKind
-from engine.offline.replay.inputs import kept_of, raised_of
+from engine.core.input_tap import InputKind, InputTap
+from engine.motion.learning.trainer import Trainer
+from engine.offline.replay.encoding import kept_of, raised_of
 
 T = TypeVar("T")
 
@@ -127,3 +131,23 @@ class RecordingTap:
         if why is not None and self.torn is None:
             self.torn = why
             self._thread = None  # nothing more is recorded
+
+
+class TappedTrainer(Generic[T]):
+    """Wraps a trainer, and has the tap observe when a result arrives."""
+
+    def __init__(self, trainer: Trainer[T], tap: InputTap) -> None:
+        self._trainer, self._tap = trainer, tap
+
+    def start(self, job: Callable[[], T]) -> None:
+        """Begin a job."""
+        self._trainer.start(job)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a job was started and its result not yet collected."""
+        return self._trainer.is_busy
+
+    def collect(self) -> T | ModelError | None:
+        """Return a finished job's result or failure once, without waiting."""
+        return self._tap.observe(InputKind.TRAINED, self._trainer.collect)

@@ -5,19 +5,16 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
-from engine.control.command_queue import QueuedCommand
-from engine.control.commands import Command
-from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
+from engine.control.command_queue import Command, QueuedCommand
+from engine.control.turn_reader import CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core.errors import RecordingError
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind
 from engine.gating.interlocks import DecisionInputs
 from engine.offline.replay.comparison import BIT_FOR_BIT, DIGEST, NUMBERS, Comparison
-from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.inputs import FrameHead, Raised
+from engine.offline.replay.encoding import FrameHead, Raised, TapeEncoding
 from engine.offline.replay.outcomes import Row, is_transition, row_of, same, text_of
-from engine.offline.replay.readings import OtherReadingError, RecordedReadings
-from engine.offline.replay.tape_file import RecordedTurn
+from engine.offline.replay.tape_file import OtherReadingError, RecordedReadings, RecordedTurn
 
 T = TypeVar("T")
 

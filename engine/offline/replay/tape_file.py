@@ -3,13 +3,16 @@
 The first line is the header: settings, calibration, software, machine, and where the frames are. Then follows one line
 per turn: ``h`` holds pairs of a reading's kind and its value (the clock's as a step from the reading before), ``r`` the
 outputs, ``e`` the transitions of other threads. The last line is the end, or the reason why the tape has none.
+
+The readings of one turn of a tape, given back one by one in the order in which they were made.
 """
 
+import enum
 import json
 import operator
 import os
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +21,41 @@ from engine.core.errors import RecordingError
 from engine.core.input_tap import InputKind
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.outcomes import Row, row_of
-from engine.offline.replay.readings import RecordedReadings
 from engine.offline.replay.recording_tap import Turn
+
+
+class OtherReadingError(Exception):
+    """Another reading is next on the tape.
+
+    Attributes
+    ----------
+    name
+        The kind that is next; None at the end of the turn.
+    """
+
+    def __init__(self, name: str | None) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class RecordedReadings:
+    """Readings as values; ``decode`` decodes one."""
+
+    def __init__(self, observed: Sequence[tuple[enum.IntEnum, Any]], decode: Callable[[Any], Any]) -> None:
+        self._coming, self._decode = iter(observed), decode
+
+    def take(self, kind: InputKind) -> Any:  # noqa: ANN401 - any reading
+        """Return the next value, which is of this kind; raise OtherReadingError where another reading is next."""
+        following, encoded = next(self._coming, (None, None))
+        if following is not kind:
+            raise OtherReadingError(None if following is None else following.name)
+        return self._decode(encoded)
+
+    def rest(self) -> str | None:
+        """Return the name of the next reading; None at the end."""
+        following, _encoded = next(self._coming, (None, None))
+        return None if following is None else following.name
+
 
 SCHEMA = "tidegate.tape/2"
 SUFFIX = ".tape"

@@ -16,10 +16,8 @@ import numpy.typing as npt
 
 from engine.core.bounds import check_number
 from engine.core.frames import BoolArray, FloatArray
-from engine.qa.latency.captured import FrameTimes, Pictures
-from engine.qa.latency.host_times import fit_host_times
-from engine.qa.latency.light_pattern import LightChange, level_at, refuse_pattern
-from engine.qa.latency.results import CameraLatency, camera_latency
+from engine.qa.latency.captured import CameraLatency, FrameTimes, Pictures, camera_latency, fit_host_times
+from engine.qa.latency.light_driver import LightChange, level_at, refuse_pattern
 
 # The light in the pictures: where it is, and whether it is on in each.
 #

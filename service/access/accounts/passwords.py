@@ -16,7 +16,7 @@ from typing import Protocol, TypeVar
 from argon2 import PasswordHasher, Type
 from argon2.exceptions import InvalidHashError, VerificationError
 
-from service.access.accounts.names import name_key
+from service.access.accounts.records import name_key
 from service.core.errors import BoundError, PasswordServiceBusyError
 
 MIN_LENGTH = 12

@@ -1,15 +1,17 @@
-"""User accounts: created, changed and disabled, but never deleted, since the audit refers to their names."""
+"""User accounts: created, changed and disabled, but never deleted, since the audit refers to their names.
+
+Creates the first administrator at the first start, when no account exists to create another.
+"""
 
 import secrets
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from service.access.accounts.names import check_name, name_key
-from service.access.accounts.records import User
+from service.access.accounts.records import User, check_name, name_key
 from service.access.accounts.store import AccessStore
 from service.core.errors import BoundError, LastAdminError, NameTakenError, NotFoundError, OutsideUserError
 from service.core.permissions import Role
-from service.storage.audit import Event
+from service.storage.audit import SYSTEM, Event
 
 ADD = "user.create"
 CHANGE = "user.change"
@@ -171,3 +173,19 @@ def _audited(user: User) -> dict[str, object]:
         "is_break_glass": user.is_break_glass,
         "must_change_password": user.must_change_password,
     }
+
+
+FIRST_NAME = "admin"
+OnFirstAdmin = Callable[[str, str], None]
+"""Receives the name and the one-time password, which is not stored."""
+
+
+def make_first_admin(store: AccessStore, accounts: AccountService, on_created: OnFirstAdmin) -> None:
+    """Create an administrator with a one-time password if there is no account at all.
+
+    It is a break-glass account: where users log in at an identity provider, other local passwords are not accepted.
+    """
+    if store.users:
+        return
+    issued = accounts.add(FIRST_NAME, [Role.ADMIN], by=SYSTEM, is_break_glass=True)
+    on_created(issued.user.name, issued.one_time_password or "")

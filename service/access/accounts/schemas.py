@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field, SecretStr, StringConstraints
 
-from service.access.accounts.names import MAX_LENGTH as LONGEST_NAME
 from service.access.accounts.passwords import MAX_LENGTH, MIN_LENGTH
+from service.access.accounts.records import MAX_LENGTH as LONGEST_NAME
 from service.core.permissions import Permission, Role
 from service.core.schemas.base import Answer, Name, Request
 

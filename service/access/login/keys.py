@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-from service.access.accounts.names import KEY_PREFIX, check_name, name_key
-from service.access.accounts.records import ApiKey
+from service.access.accounts.records import KEY_PREFIX, ApiKey, check_name, name_key
 from service.access.accounts.store import AccessStore
 from service.access.login.logins import TOKEN_BYTES, hashed
 from service.core.errors import BoundError, NameTakenError, NotFoundError

@@ -2,13 +2,21 @@
 
 Failures are counted per name, whether or not the account exists, and per client address. The first few cause no wait;
 each further one doubles the wait, up to 15 minutes. A count lapses an hour after the last failure.
+
+Refusals waiting for the audit: one row for each refusal of an identified sender, counts for the others.
+
+Requests never wait for the audit. Audit rows are permanent and take the write lock that the gate's own rows need, so
+their number is bounded: all unidentified senders together cost one summary row a minute, an identified sender at most
+`MAX_PER_MINUTE` rows of each kind; what exceeds that is counted.
 """
 
 import math
+import threading
+from collections import Counter
 from datetime import datetime, timedelta
 
-from service.access.accounts.names import name_key
-from service.access.accounts.records import Attempts
+from service.access.accounts.records import Attempts, name_key
+from service.storage.audit import SYSTEM, Event
 
 FREE_PER_NAME = 5
 FREE_PER_ADDRESS = 20
@@ -52,3 +60,67 @@ def has_lapsed(attempts: Attempts, now: datetime) -> bool:
 
 def _lock(beyond: int) -> timedelta:
     return min(timedelta(seconds=2.0 ** min(beyond, 20)), MAX_WAIT)
+
+
+MAX_QUEUED = 256
+MAX_PER_MINUTE = 10
+"""Rows of one kind for one person or machine between two summaries."""
+MAX_ADDRESSES = 8
+REFUSED = "access.refused"
+
+
+class RefusedLogins:
+    """Queue and counters, filled from any thread, drained by `AccessCleanupWorker`; ``total`` is never reset."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._events: list[Event] = []
+        self._counts: Counter[str] = Counter()
+        self._addresses: Counter[str] = Counter()
+        self._noted: Counter[tuple[str, str]] = Counter()
+        self.total: Counter[str] = Counter()
+
+    def count(self, what: str, address: str) -> None:
+        """Count a refusal of an unidentified sender, and its address."""
+        with self._lock:
+            self.total[what] += 1
+            self._counts[what] += 1
+            if address in self._addresses or len(self._addresses) < MAX_ADDRESSES:
+                self._addresses[address] += 1
+
+    def record(self, event: Event) -> None:
+        """Queue a refusal of an identified sender; count it instead where the limit is reached."""
+        with self._lock:
+            self.total[event.action] += 1
+            self._noted[event.actor, event.action] += 1
+            if self._noted[event.actor, event.action] > MAX_PER_MINUTE:
+                self._counts[f"{event.action} of {event.actor}"] += 1
+            elif len(self._events) < MAX_QUEUED:
+                self._events.append(event)
+            else:
+                self._counts["beyond the queue"] += 1
+
+    def take_events(self) -> list[Event]:
+        """Remove and return the queued rows."""
+        with self._lock:
+            taken, self._events = self._events, []
+        return taken
+
+    def requeue(self, events: list[Event]) -> None:
+        """Queue rows again that could not be written; what exceeds the queue is counted."""
+        with self._lock:
+            room = max(0, MAX_QUEUED - len(self._events))
+            self._events = events[:room] + self._events
+            self._counts["beyond the queue"] += max(0, len(events) - room)
+
+    def take_summary(self) -> Event | None:
+        """Return the counts as one audit row and reset them; None if all are zero."""
+        with self._lock:
+            counts, addresses = dict(self._counts), dict(self._addresses)
+            self._counts.clear()
+            self._addresses.clear()
+            self._noted.clear()
+        if not counts:
+            return None
+        detail = {"counts": counts, "addresses": addresses}
+        return Event(actor=SYSTEM, action=REFUSED, outcome="refused", detail=detail)

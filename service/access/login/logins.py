@@ -7,12 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import timedelta
 
-from service.access.accounts.names import check_name, name_key
 from service.access.accounts.passwords import Hashing, check_password
-from service.access.accounts.records import Attempts, Login, User, Way
+from service.access.accounts.records import Attempts, Login, User, Way, check_name, name_key
 from service.access.accounts.store import AccessStore
 from service.access.login import lockout
-from service.access.login.refusals import RefusedLogins
+from service.access.login.lockout import RefusedLogins
 from service.core.errors import LockedOutError, LoginFailedError, NotFoundError, OutsideUserError, WrongPasswordError
 from service.core.permissions import Role
 from service.storage.audit import Event

@@ -1,6 +1,8 @@
 """HTTP calls to the provider: bounded in time and size, certificates verified, no redirects, no proxy.
 
 All calls block: never call them from the event loop or from a request that is answered from memory.
+
+Errors of log-ins and tokens of the OpenID Connect provider; the reasons are stable codes for audit and metrics.
 """
 
 import json
@@ -9,8 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote_plus
 
 import httpx2
@@ -19,7 +22,46 @@ from authlib.integrations.httpx_client import OAuth2Client
 from authlib.oauth2.rfc6749.parameters import prepare_grant_uri
 from authlib.oauth2.rfc7636 import create_s256_code_challenge
 
-from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
+from service.core.errors import ServiceError
+
+
+class OidcReason(StrEnum):
+    """Why a token, a response or a log-in of the provider is refused."""
+
+    MALFORMED = "malformed"
+    ALGORITHM = "algorithm"
+    UNKNOWN_KEY = "unknown_key"
+    SIGNATURE = "signature"
+    TYPE = "type"
+    ISSUER = "issuer"
+    AUDIENCE = "audience"
+    EXPIRED = "expired"
+    NOT_YET_VALID = "not_yet_valid"
+    TOO_LONG_LIVED = "too_long_lived"
+    NONCE = "nonce"
+    CLAIMS = "claims"
+    SCOPE = "scope"
+    STATE = "state"
+    CODE = "code"
+    PROVIDER_REFUSED = "provider_refused"
+    NO_ROLE = "no_role"
+
+
+class OidcRefusedError(ServiceError):
+    """A token or response failed validation; the message never contains its content."""
+
+    code: ClassVar[str] = "oidc_refused"
+
+    def __init__(self, reason: OidcReason, detail: str = "") -> None:
+        self.reason = reason
+        super().__init__(f"{reason.value}: {detail}" if detail else reason.value)
+
+
+class OidcUnavailableError(ServiceError):
+    """The provider cannot be reached, or its response is not valid OpenID Connect."""
+
+    code: ClassVar[str] = "oidc_unavailable"
+
 
 MAX_ANSWER_BYTES = 512 * 1024
 WHOLE_FACTOR = 2.0

@@ -11,9 +11,14 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from engine.core.errors import TidegateError
-from service.access.accounts.names import NOT_IN_NAMES, check_name
-from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
-from service.access.oidc.http_client import ProviderClient, authorization_url
+from service.access.accounts.records import NOT_IN_NAMES, check_name
+from service.access.oidc.http_client import (
+    OidcReason,
+    OidcRefusedError,
+    OidcUnavailableError,
+    ProviderClient,
+    authorization_url,
+)
 from service.access.oidc.pending_logins import PendingLogin, PendingLogins
 from service.access.oidc.provider import Provider, ProviderState
 from service.access.oidc.tokens import Claims, ExpectedClaims, check_id_token

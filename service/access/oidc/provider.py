@@ -14,7 +14,7 @@ from joserfc.jwk import KeySet
 
 from engine.core.clock import NS_PER_S, Clock
 from engine.core.errors import TidegateError
-from service.access.oidc.errors import OidcUnavailableError
+from service.access.oidc.http_client import OidcUnavailableError
 from service.access.oidc.tokens import keys_from
 from service.core.settings.oidc import is_safe_address
 

@@ -10,11 +10,9 @@ from prometheus_client import CollectorRegistry, Counter, Gauge
 from sqlalchemy.exc import SQLAlchemyError
 
 from engine.core.clock import Clock, MonotonicClock
-from service.access.accounts.names import MACHINE_PREFIX, MAX_LENGTH
-from service.access.accounts.records import User
+from service.access.accounts.records import MACHINE_PREFIX, MAX_LENGTH, User
 from service.access.login.logins import LOGIN, OpenedLogin
-from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
-from service.access.oidc.http_client import ProviderClient
+from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError, ProviderClient
 from service.access.oidc.pending_logins import FailureLimiter, PendingLogins
 from service.access.oidc.people import AuthorizationRedirect, AuthorizationResponse, NoRoleError, OidcPeople, OidcUser
 from service.access.oidc.provider import Provider

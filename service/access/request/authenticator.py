@@ -4,15 +4,13 @@ from datetime import datetime, timedelta
 
 from starlette.datastructures import Headers
 
-from service.access.accounts.names import KEY_PREFIX, MACHINE_PREFIX, name_key
-from service.access.accounts.records import ApiKey, Login
+from service.access.accounts.records import KEY_PREFIX, MACHINE_PREFIX, ApiKey, Login, name_key
 from service.access.accounts.store import AccessStore
 from service.access.login.cookies import CookieScope, screen_token_in, token_in
 from service.access.login.keys import TOKEN_PREFIX, KeyService, actor_of
 from service.access.login.logins import hashed
 from service.access.request.identity import Identity, MachineVerifier
-from service.access.screens.records import Screen
-from service.access.screens.screens import ScreenService
+from service.access.screens.screens import Screen, ScreenService
 from service.core.permissions import KEY_PERMISSIONS, Permission, permissions_of
 
 LONGEST_TOKEN = 16_384

@@ -9,12 +9,11 @@ from rich.console import Console
 from rich.table import Table
 
 from engine.core.files import write_whole
-from service.cli.calibrate.serial_number import SerialOption, with_serial
+from service.cli.calibrate.convert import SerialOption, with_serial
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:  # OpenCV takes its time to import, and `--help` does not need it
-    from engine.calibration.procedures.boards import Board
-    from engine.calibration.procedures.checkerboard import CheckerboardResult, FoundBoards
+    from engine.calibration.procedures import Board, CheckerboardResult, FoundBoards
 
 NAME = "calibrate checkerboard"
 GOOD_PAIRS = 15
@@ -50,10 +49,7 @@ def checkerboard(
 
     Pictures of one board pose are matched by name, or by order if no names are equal.
     """
-    from engine.calibration.procedures.boards import Board
-    from engine.calibration.procedures.checkerboard import calibrate
-    from engine.calibration.procedures.picture_files import list_pictures, match_pictures
-    from engine.calibration.procedures.residual_plot import draw_residuals
+    from engine.calibration.procedures import Board, calibrate, draw_residuals, list_pictures, match_pictures
     from engine.core.errors import InvalidValueError, TidegateError
 
     try:
@@ -83,7 +79,7 @@ def checkerboard(
 
 
 def _find(board: "Board", matched: list[tuple[Path, Path]]) -> "FoundBoards":
-    from engine.calibration.procedures.checkerboard import find_boards
+    from engine.calibration.procedures import find_boards
     from engine.core.errors import CalibrationError
 
     with frame_bar() as progress:

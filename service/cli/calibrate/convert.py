@@ -1,13 +1,31 @@
-"""``tidegate calibrate convert``: convert a calibration of OpenCV or ROS."""
+"""``tidegate calibrate convert``: convert a calibration of OpenCV or ROS.
 
+The serial number that a calibration is written with.
+"""
+
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from engine.calibration import STRICT, Calibration
 from engine.core.files import write_whole
-from service.cli.calibrate.serial_number import SerialOption, with_serial
 from service.cli.terminal import refused, say
+
+SerialOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Serial number of this camera, as the session shows it: a session then notices another camera, and "
+        "clinical mode refuses it. By default that of the input, if it has one."
+    ),
+]
+
+
+def with_serial(calibration: Calibration, serial: str | None) -> Calibration:
+    """Return the calibration with this serial number; raise CalibrationError if it is no printable text."""
+    return calibration if serial is None else replace(calibration, serial=STRICT.name("serial", serial))
+
 
 NAME = "calibrate convert"
 
@@ -39,8 +57,8 @@ def convert(
     serial: SerialOption = None,
 ) -> None:
     """Convert a calibration; an ambiguous file is refused until an option resolves it."""
-    from engine.calibration.formats import convert as formats
-    from engine.calibration.formats.documents import STRICT
+    from engine.calibration import STRICT
+    from engine.calibration.formats import convert, options_of
     from engine.core.errors import TidegateError
 
     beside: dict[str, object] = {
@@ -52,8 +70,8 @@ def convert(
     try:
         beside["image_size_px"] = None if size is None else _size(size)
         beside["depth_to_color"] = None if pose is None else STRICT.load(pose)
-        options = formats.options_of(beside)
-        converted = formats.convert([STRICT.read_bytes(file) for file in files], options)
+        options = options_of(beside)
+        converted = convert([STRICT.read_bytes(file) for file in files], options)
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, with_serial(converted.calibration, serial).to_json().encode())
     except TidegateError as error:

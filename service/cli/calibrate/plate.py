@@ -11,14 +11,12 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from engine.core.files import write_whole
-from service.cli.calibrate.serial_number import SerialOption, with_serial
+from service.cli.calibrate.convert import SerialOption, with_serial
 from service.cli.terminal import NoBar, frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.calibration.camera_calibration import Calibration, Disparity
-    from engine.calibration.procedures.depth_scale import DepthScale
-    from engine.calibration.procedures.flat_plate import PlateReading
-    from engine.calibration.quantisation import DepthSteps
+    from engine.calibration import Calibration, DepthSteps, Disparity
+    from engine.calibration.procedures import DepthScale, PlateReading
 
 NAME = "calibrate plate"
 MUCH_DRIFT_MM = 0.5
@@ -47,9 +45,14 @@ def plate(
     serial: SerialOption = None,
 ) -> None:
     """Determine the depth scale and offset of this camera and report the accuracy of depth at 850 mm."""
-    from engine.calibration.camera_calibration import load_calibration
-    from engine.calibration.procedures.depth_scale import check_distances, corrected, disparity_of, fit_depth_scale
-    from engine.calibration.procedures.flat_plate import find_plate_steps
+    from engine.calibration import load_calibration
+    from engine.calibration.procedures import (
+        check_distances,
+        corrected,
+        disparity_of,
+        find_plate_steps,
+        fit_depth_scale,
+    )
     from engine.core.errors import TidegateError
 
     try:
@@ -78,7 +81,7 @@ def plate(
 def _read(
     recordings: list[Path], cameras: "Calibration", steps: "DepthSteps | None", part: float
 ) -> list["PlateReading"]:
-    from engine.calibration.procedures.flat_plate import read_plate
+    from engine.calibration.procedures import read_plate
     from engine.capture import describe
 
     readings = []

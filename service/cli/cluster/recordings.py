@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any, cast
 
 from engine.core.errors import RecordingError
-from engine.lab.evaluation.runs.bench import Progress as RunProgress
-from engine.lab.evaluation.runs.bench import Report
+from engine.lab.evaluation.runs.bench import Progress as RunProgress, Report
 from engine.lab.evaluation.runs.datasets import RECIPE, Run
 from engine.lab.evaluation.runs.trial import TrialSettings
-from engine.offline.batch import FileOutcome, Progress
-from engine.offline.measure import FileTask
-from service.cli.cluster.jobs import EvaluationJob, MeasureJob
+from engine.offline import FileOutcome, FileTask, Progress
 from service.cli.cluster.options import SchedulerOptions
 from service.cli.cluster.run import Finished, connected, run_jobs
+from service.cli.cluster.worker import EvaluationJob, MeasureJob
 
 
 def measure_on_cluster(

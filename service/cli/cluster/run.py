@@ -18,9 +18,17 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from engine.core.errors import TidegateError
-from service.cli.cluster.jobs import ClusterJob
 from service.cli.cluster.options import SchedulerOptions
-from service.cli.cluster.worker import MARKER, JobDone, WorkerRefusedError, examine, identity, run_job, stop_run
+from service.cli.cluster.worker import (
+    MARKER,
+    ClusterJob,
+    JobDone,
+    WorkerRefusedError,
+    examine,
+    identity,
+    run_job,
+    stop_run,
+)
 from service.cli.terminal import say
 
 if TYPE_CHECKING:

@@ -27,11 +27,10 @@ from service.cli.cluster.options import (
 from service.cli.terminal import refused, say
 
 if TYPE_CHECKING:
-    from engine.lab.evaluation.runs.bench import DoAll, Report
-    from engine.lab.evaluation.runs.bench import Progress as BenchProgress
+    from engine.lab.evaluation.runs.bench import DoAll, Progress as BenchProgress, Report
     from engine.lab.evaluation.runs.datasets import Run
     from engine.lab.evaluation.runs.marks import Mark
-    from engine.lab.evaluation.runs.scored_run import ScoredRun
+    from engine.lab.evaluation.runs.scores import ScoredRun
     from engine.lab.evaluation.table import Table
 
 STOPPED = 130

@@ -1,11 +1,9 @@
 """``tidegate evaluate``: how good the measurement is, judged by instruments; one module a subcommand."""
 
 from service.cli.command_group import command_group
-from service.cli.evaluate.ablations import ablations
 from service.cli.evaluate.bench import bench
-from service.cli.evaluate.breathing import breathing
-from service.cli.evaluate.gate import gate
-from service.cli.evaluate.integrity import integrity
+from service.cli.evaluate.breathing import breathing, gate
+from service.cli.evaluate.integrity import ablations, integrity
 from service.cli.evaluate.laser import laser, plane
 from service.cli.evaluate.spirometer import spirometer
 

@@ -8,19 +8,15 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from engine.calibration.camera_calibration import Calibration, load_calibration
-from engine.calibration.laser_plane import LaserPlane, load_plane
-from engine.calibration.procedures.boards import Board
+from engine.calibration import Calibration, LaserPlane, load_calibration, load_plane
+from engine.calibration.procedures import Board
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.lab.evaluation.instruments.agreement import MIN_FRAMES, Agreement
-from engine.lab.evaluation.instruments.board import LitBoard, read_board
-from engine.lab.evaluation.instruments.color_pictures import read_pictures
+from engine.lab.evaluation.instruments.board import LitBoard, read_board, read_pictures
 from engine.lab.evaluation.instruments.laser import CELL_PX, LaserComparison, LaserGauge
 from engine.lab.evaluation.instruments.plane_calibration import PlaneCalibration, fit_plane
-from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.settings import PipelineSettings
-from service.cli.evaluate.instrument_plots import draw_laser
-from service.cli.evaluate.instruments import number, superior_of, watch, write_rows
+from engine.motion import PipelineSettings, TrainingSettings
+from service.cli.evaluate.instruments import draw_laser, number, superior_of, watch, write_rows
 from service.cli.terminal import frame_bar, refused, say
 
 LARGE_OFFSET_MM, GREATEST_OFFSET_MM = 10.0, 50.0

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from engine.calibration.camera_calibration import load_calibration
+from engine.calibration import load_calibration
 from engine.core.errors import TidegateError
 from engine.core.frames import FloatArray, Measurement, RgbdFrame
 from engine.lab.evaluation.instruments.flow_file import read_flow
@@ -19,10 +19,8 @@ from engine.lab.evaluation.instruments.spirometer import (
     compare_volumes,
     to_unit_range,
 )
-from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.settings import PipelineSettings
-from service.cli.evaluate.instrument_plots import draw_spirometer
-from service.cli.evaluate.instruments import number, superior_of, watch, write_rows
+from engine.motion import PipelineSettings, TrainingSettings
+from service.cli.evaluate.instruments import draw_spirometer, number, superior_of, watch, write_rows
 from service.cli.terminal import refused, say
 
 HEADER = (

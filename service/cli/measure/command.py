@@ -7,20 +7,15 @@ from typing import Annotated
 import typer
 
 from engine import __version__
-from engine.calibration.camera_calibration import load_calibration
+from engine.calibration import load_calibration
 from engine.capture import OniFileSource, describe
 from engine.core.clock import MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import Measurement
-from engine.core.motion_model import MotionModel
-from engine.core.provenance import MAX_TEXT, ModelOrigin, check_patient
+from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_patient
 from engine.gating import DWELL_MS, HEAD_DIRECTION_UNKNOWN, GateLimits
-from engine.motion.learning.model_file import load_model
-from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.settings import PipelineSettings
-from engine.offline.measure import FileTask, measure_recording
-from engine.offline.result_files import OfflineSummary
-from engine.offline.segments import SegmentSummary
+from engine.motion import PipelineSettings, TrainingSettings, load_model
+from engine.offline import FileTask, OfflineSummary, SegmentSummary, measure_recording
 from service.cli.cluster.options import (
     AuthorityFile,
     CertificateFile,
@@ -244,7 +239,7 @@ def _measure_many(tasks: list[FileTask], processes: int, cluster: SchedulerOptio
 
     measure_all: MeasureAll
     if cluster is None:
-        from engine.offline.batch import measure_files
+        from engine.offline import measure_files
 
         measure_all = partial(measure_files, processes)
     else:

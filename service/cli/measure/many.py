@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from engine.core.files import write_whole
-from engine.offline.batch import FileOutcome, Progress
-from engine.offline.measure import FileTask
+from engine.offline import FileOutcome, FileTask, Progress
 from service.cli.measure.options import SUMMARY_NAME
 from service.cli.terminal import frame_bar
 

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.gating import HYSTERESIS, AmplitudeWindow, GateWindow, Unit
-from engine.motion.named_region_file import load_regions, parse_region
-from engine.motion.named_regions import NamedRegion, check_regions
-from engine.offline.mesh_files import MeshOptions
+from engine.motion import NamedRegion, check_regions, load_regions, parse_region
+from engine.offline import MeshOptions
 
 CALIBRATION_NAME = "calibration.json"
 SUMMARY_NAME = "summary.csv"

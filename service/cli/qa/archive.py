@@ -1,9 +1,13 @@
-"""Stored QA results: lists, trends, reports, the baseline. Reading is possible while a service runs."""
+"""Stored QA results: lists, trends, reports, the baseline. Reading is possible while a service runs.
+
+``tidegate qa code``: make and display a one-time code for a QA run that is started over the API.
+"""
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import typer
 from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
@@ -11,16 +15,23 @@ from sqlalchemy.orm import Session
 
 from engine.core.errors import TidegateError
 from engine.core.files import write_whole
+from service.access.accounts.records import name_key
+from service.access.accounts.store import AccessStore
+from service.cli.access.account_services import BY
 from service.cli.data_folder import settings_of_database, settings_of_folder
 from service.cli.qa import tables
 from service.cli.terminal import refused, say
 from service.core.errors import BoundError, NotFoundError
+from service.core.permissions import Permission, permissions_of
 from service.core.schemas.base import Name
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.qa import queries, views
 from service.qa.archive import TREND_RUNS, measured_by
-from service.qa.latency.archive import latency_list
+from service.qa.latency.requirement import latency_list
+from service.qa.one_time_code import VALID_S, OneTimeCodes
 from service.qa.report.report import report_pdf
+from service.storage.audit import Event
+from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 from service.storage.database.startup import prepare
 from service.storage.database.tables import QaRunRow
@@ -129,3 +140,40 @@ def _check_name(field: str, text: str) -> None:
     except ValidationError as error:
         bound = "1 to 80 printable characters"
         raise BoundError(f"--{field} must be {bound}", field=field, value=text, bound=bound) from error
+
+
+ACTION = "qa.code"
+COMMAND = "qa code"
+
+
+def show_code(data: Path | None, operator: str) -> None:
+    """Audit, make and print a code for a person who may start QA; nothing is made if that cannot be audited."""
+    try:
+        settings = settings_of_database(data)
+        with closing(Database(settings.database_place)) as database:
+            name = _physicist(database, operator)
+            AuditLog(database).write(Event(actor=BY, action=ACTION, detail={"operator": name, "valid_s": VALID_S}))
+        text = OneTimeCodes(settings.data_dir).make(name)
+    except OperationalError as error:
+        text = "the database does not answer, or has an older schema: run `tidegate database upgrade`"
+        raise refused(COMMAND, text) from error
+    except OSError as error:
+        raise refused(COMMAND, f"{settings.data_dir} cannot be written ({error.strerror or error})") from error
+    except (SettingsError, TidegateError) as error:
+        raise refused(COMMAND, error) from error
+    typer.echo(f"{text}  for {name}, for {VALID_S / 60.0:g} minutes and one run. Its drills permit the real beam line.")
+
+
+def _physicist(database: Database, operator: str) -> str:
+    """Return the account's name; raise NotFoundError or BoundError if this person may not start QA."""
+    store = AccessStore(database)
+    store.load()
+    user = store.users.get(name_key(operator))
+    if user is None:
+        msg = f"there is no account {operator!r}"
+        raise NotFoundError(msg, field="operator", value=operator)
+    if user.is_disabled or Permission.QA_RUN not in permissions_of(user.roles):
+        bound = "an enabled account with the role physicist"
+        msg = f"{user.name} may not start QA runs: --operator must be {bound}"
+        raise BoundError(msg, field="operator", value=user.name, bound=bound)
+    return user.name

@@ -253,7 +253,7 @@ def code(
     It is valid for five minutes, once, for this person; a new code ends the one before. The service may be running. The
     commands daily, monthly and annual need no code.
     """
-    from service.cli.qa.code import show_code
+    from service.cli.qa.archive import show_code
 
     show_code(data, operator)
 

@@ -8,10 +8,8 @@ from typing import Any
 
 from engine.capture import SourceDescription
 from engine.core.clock import MonotonicClock
-from engine.qa.bounds import QaBaseline
-from engine.qa.latency.measure import SECONDS_BOUNDS
-from engine.qa.playing import opened
-from engine.qa.results import QaKind
+from engine.qa import QaBaseline, QaKind, opened
+from engine.qa.latency import SECONDS_BOUNDS
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings

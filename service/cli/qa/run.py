@@ -7,19 +7,17 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from engine.calibration.camera_calibration import Calibration, load_calibration
+from engine.calibration import Calibration, load_calibration
 from service.cli.qa.simulated import SimulatingRig
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.uncalibrated import refuse_reserved_name
+from service.engine_host.site_rules.calibrations import refuse_reserved_name
 from service.qa import queries, schemas
-from service.qa.roles import QaFiles
+from service.qa.jobs import QaFiles
 from service.qa.runs import check_beam_safety, new_run, permits_real_beam, refuse_open_session
-from service.sessions.records.calibrations import ACTION as UPLOAD
-from service.sessions.records.calibrations import kept_row
-from service.storage.audit import Event
-from service.storage.audit import append as append_audit
+from service.sessions.records.calibrations import ACTION as UPLOAD, kept_row
+from service.storage.audit import Event, append as append_audit
 from service.storage.database.engine import Database
 
 CALIBRATION_NAME = "calibration.json"

@@ -2,17 +2,16 @@
 
 from dataclasses import replace
 
-from engine.calibration.camera_calibration import Calibration
-from engine.qa.results import QaKind
+from engine.calibration import Calibration
+from engine.qa import QaKind
 from service.core.settings.settings import Settings
-from service.qa.jobs import QaJob
+from service.qa.jobs import QaFiles, QaJob
 from service.qa.late_rig import LateRig
-from service.qa.roles import QaFiles
 from service.qa.schemas import QaRunRequest, QaSimulation
 
 
 class SimulatingRig:
-    """A :class:`service.qa.roles.QaRig` that also builds jobs on a virtual set-up."""
+    """A :class:`service.qa.jobs.QaRig` that also builds jobs on a virtual set-up."""
 
     def __init__(self, settings: Settings) -> None:
         self._real = LateRig(settings)

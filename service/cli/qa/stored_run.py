@@ -13,13 +13,12 @@ from pydantic import BaseModel, ValidationError
 
 from engine.core.errors import TidegateError
 from engine.core.files import write_whole
-from engine.qa.bounds import QaBaseline
-from engine.qa.results import QaNeed
+from engine.qa import QaBaseline, QaNeed
 from service.cli.qa.tables import print_results
 from service.cli.terminal import frame_bar, refused, say
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.targets import alone_at_targets
+from service.engine_host.beam_lines import alone_at_targets
 from service.qa import queries, schemas, views
 from service.qa.archive import TREND_RUNS, close_interrupted
 from service.qa.jobs import Handle, QaJob, run_job

@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from types import TracebackType
 
-from service.core.logging.request_ids import current_request_id, current_session_id
-from service.core.settings.monitoring import LogFormat
+from service.core.current_request import current_request_id, current_session_id
+from service.core.settings.groups import LogFormat
 
 logger = logging.getLogger(__name__)
 LINE = "%(asctime)s %(levelname)s %(name)s %(message)s"

@@ -1,5 +1,10 @@
-"""Base classes and shared types of the schemas: strict requests, answers, printable names."""
+"""Base classes and shared types of the schemas: strict requests, answers, printable names, numbers, problems.
 
+Problems are those of RFC 9457. A number that could not be measured leaves the service as None, never as NaN, infinity
+or a magic number.
+"""
+
+import math
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
@@ -45,3 +50,38 @@ class Answer(BaseModel):
     """Base of every answer."""
 
     model_config = ConfigDict(frozen=True)
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """Return a measured value as a float; None where it is missing, NaN or infinite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def rounded_or_none(value: float | None, digits: int = 4) -> float | None:
+    """Return a measured value, rounded to so many decimals; None where it is missing, NaN or infinite."""
+    finite = finite_or_none(value)
+    return None if finite is None else round(finite, digits)
+
+
+class BrokenBound(Answer):
+    """One value of a request that is outside its bound."""
+
+    field: str = Field(examples=["window.lower_mm"])
+    value: str = Field(examples=["-400.0"])
+    bound: str = Field(examples=["at least -100"])
+
+
+class Problem(Answer):
+    """RFC 9457 problem with a stable code; with field, value and bound if a value broke a bound."""
+
+    type: str = Field(examples=["urn:tidegate:problem:invalid_value"])
+    title: str
+    status: int
+    detail: str
+    code: str = Field(examples=["invalid_value"])
+    field: str | None = Field(default=None, examples=["window.lower_mm"])
+    value: str | None = Field(default=None, examples=["-400.0"])
+    bound: str | None = Field(default=None, examples=["at least -100"])
+    errors: list[BrokenBound] | None = Field(
+        default=None, description="All values outside their bounds, starting with the one above; at most 20"
+    )

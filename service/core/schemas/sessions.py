@@ -10,8 +10,7 @@ from pydantic import AwareDatetime, ConfigDict, Field, SecretStr, StringConstrai
 
 from engine.core.errors import InvalidValueError
 from engine.gating import MAX_MOTION_MM
-from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
-from engine.motion.stages.regions import MIN_PART_ROWS
+from engine.motion import MAX_REGIONS, MAX_VERTICES, MIN_PART_ROWS, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
 from service.core.schemas.live_messages import (
     LiveAlarm,

@@ -15,15 +15,15 @@ from engine.core.errors import InvalidValueError
 from engine.gating import (
     DWELL_MS,
     HOLD_BOUNDS,
+    HYSTERESIS as DEFAULT_HYSTERESIS,
     MAX_CONDITIONS,
     AmplitudeWindow,
     BreathHoldWindow,
+    Condition as EngineCondition,
     PhaseWindow,
     Unit,
 )
-from engine.gating import HYSTERESIS as DEFAULT_HYSTERESIS
-from engine.gating import Condition as EngineCondition
-from engine.motion.named_regions import NAME_PATTERN
+from engine.motion import NAME_PATTERN
 from service.core.schemas.base import Request, broken
 
 SignalName = Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]

@@ -1,13 +1,71 @@
-"""Small groups of settings: connections, plans, the room, replay, idempotency keys, the live stream."""
+"""Small groups of settings: connections, plans, the room, replay, idempotency keys, the live stream, audit, disk.
+
+Monitoring is log format and level, certificate warning and readiness cache; limits of connections are times, sizes and
+numbers.
+"""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, SecretStr, StringConstraints, model_validator
 from pydantic_settings import BaseSettings
 
-from engine.core.head_direction import HeadDirection
-from service.core.settings.connection_limits import CONNECTION_BOUNDS, LIMIT_NAMES, ConnectionLimits
+from engine.core.signals import HeadDirection
+from service.core.settings.database_place import place_of
+
+if TYPE_CHECKING:  # the engine's process does without SQLAlchemy
+    from sqlalchemy import URL
+from dataclasses import dataclass, fields
+
+CONNECTION_BOUNDS = {
+    "header_s": (1.0, 60.0),
+    "body_s": (1.0, 600.0),
+    "keep_alive_s": (1.0, 300.0),
+    "write_s": (1.0, 600.0),
+    "handshake_s": (1.0, 60.0),
+    "max_connections": (64, 16_384),
+    "max_connections_per_address": (16, 16_384),
+    "max_header_bytes": (4_096, 65_536),
+    "max_headers": (16, 256),
+    "max_url_bytes": (1_024, 16_384),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionLimits:
+    """Limits of every connection.
+
+    Attributes
+    ----------
+    header_s
+        From a connection's begin, or from a further request's first byte, to the end of its headers.
+    body_s
+        From the end of the headers to the end of the body.
+    keep_alive_s
+        Between an answer and the next request.
+    write_s
+        For which a client may leave what was sent to it unread.
+    handshake_s
+        For TLS.
+    max_connections, max_connections_per_address
+        Beyond them the connection goes that has been waited for longest: for a request, the rest of one, or for its
+        client to read; unauthenticated ones first. One with a request in progress is never closed for another.
+    """
+
+    header_s: float = 10.0
+    body_s: float = 30.0
+    keep_alive_s: float = 5.0
+    write_s: float = 20.0
+    handshake_s: float = 10.0
+    max_connections: int = 2048
+    max_connections_per_address: int = 512
+    max_header_bytes: int = 16_384
+    max_headers: int = 64
+    max_url_bytes: int = 4_096
+
+
+LIMIT_NAMES = tuple(one.name for one in fields(ConnectionLimits))
+
 
 # Settings of connections: time limits, sizes and numbers; see docs/3-operate/security.md.
 
@@ -161,4 +219,114 @@ class StreamSettings(BaseSettings):
         ge=0.0,
         le=600.0,
         description="Longest part of the record that is resent to a client that reconnects",
+    )
+
+
+ANCHOR_NAME = "audit-anchors.jsonl"
+
+
+class AuditSettings(BaseSettings):
+    """Settings of the audit; a part of :class:`service.core.settings.settings.Settings`."""
+
+    data_dir: Path = Path("data")
+    audit_anchor_file: Path | None = Field(
+        default=None,
+        description="File of the audit's anchors, best on another machine's share; default: audit-anchors.jsonl in the "
+        "data folder",
+    )
+    audit_anchor_interval_s: float = Field(
+        default=60.0, ge=1.0, le=3600.0, description="Longest interval between anchors while rows are added"
+    )
+    audit_clock_jump_ms: float = Field(
+        default=500.0,
+        ge=10.0,
+        le=60_000.0,
+        description="Change of the wall clock against the monotonic clock beyond which the audit records it as set",
+    )
+    audit_log_dir: Path | None = Field(
+        default=None, description="Audit rows also as JSON lines in this folder, for the site's log collector"
+    )
+    audit_log_max_mb: int = Field(
+        default=10, ge=1, le=1000, description="Size beyond which a file is followed by another [MB]"
+    )
+    audit_log_files: int = Field(default=5, ge=1, le=100, description="Files that are kept")
+    audit_log_patients: bool = Field(default=False, description="The files contain details that name a patient")
+
+    @property
+    def anchor_file(self) -> Path:
+        """The file of anchors."""
+        return self.audit_anchor_file or self.data_dir / ANCHOR_NAME
+
+
+LogFormat = Literal["text", "json"]
+LogLevel = Literal["debug", "info", "warning", "error"]
+
+
+class MonitoringSettings(BaseSettings):
+    """Log and readiness; see docs/3-operate/monitoring.md."""
+
+    log_format: LogFormat = Field(
+        default="text", description="text for a terminal, json for a collector: one object per line"
+    )
+    log_level: LogLevel = Field(
+        default="warning",
+        description="Lowest level of Tidegate's log records; info has one line per request. Libraries"
+        " log from warning on",
+    )
+    certificate_warn_days: int = Field(
+        default=30, ge=1, le=365, description="`/readyz` warns this long before the TLS certificate expires"
+    )
+    readiness_keep_ms: float = Field(
+        default=1_000.0, ge=0.0, le=10_000.0, description="Time for which an answer of `/readyz` is cached"
+    )
+
+
+# Which database a site uses: the part of the settings that begins with ``database_``.
+
+
+class DatabaseSettings(BaseSettings):
+    """The settings of the database; a part of :class:`service.core.settings.settings.Settings`."""
+
+    data_dir: Path = Path("data")
+    database_url: SecretStr | None = Field(
+        default=None,
+        min_length=1,
+        max_length=2048,
+        description="postgresql://USER@HOST/DATABASE; the SQLite file tidegate.db in the data folder when left out",
+    )
+    database_password_file: Path | None = Field(
+        default=None, description="File that holds the password of database_url, in one line"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_place(self) -> Self:
+        _ = self.database_place
+        return self
+
+    @property
+    def database_place(self) -> "Path | URL":
+        """What :class:`service.storage.database.engine.Database` opens; the password is in it, for the driver alone."""
+        return place_of(self.database_url, self.database_password_file, self.data_dir)
+
+
+class StorageSettings(BaseSettings):
+    """Retention, quota, and free space for a new session."""
+
+    retain_samples_days: int = Field(
+        default=0, ge=0, le=36_500, description="Samples of sessions that ended longer ago are removed; 0 keeps them"
+    )
+    retain_raw_days: int = Field(
+        default=0, ge=0, le=36_500, description="Raw recordings of such sessions are removed; 0 keeps them"
+    )
+    data_quota_gb: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1_000_000.0,
+        description="A session is refused if the data folder would exceed this size; 0 is no quota",
+    )
+    session_room_min: float = Field(
+        default=30.0,
+        ge=1.0,
+        le=1440.0,
+        description="A session is refused if the free space does not suffice for a session of this length",
     )

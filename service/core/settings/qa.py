@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 from pydantic import Field, create_model, field_validator, model_validator
 from pydantic_settings import BaseSettings
 
-from engine.qa.bounds import QaBounds
-from engine.qa.checks import CHECKS
-from engine.qa.results import QaBound, QaCheck
+from engine.qa import CHECKS, QaBound, QaBounds, QaCheck
 from service.core.settings.names import setting_name
 
 LONGEST_DAILY_H = 744.0

@@ -17,28 +17,33 @@ from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, Pydant
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
 from engine.gating import BREATHING_CEASED, HOLD_BOUNDS, LIMIT_BOUNDS, GateLimits, amplitude_window
-from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
-from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM
-from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
-from engine.motion.settings import MARKER_PLACEMENT_BOUNDS
+from engine.motion import (
+    MARKER_PLACEMENT_BOUNDS,
+    MARKER_PLACEMENT_MM,
+    PATIENT_MATCH_BOUNDS,
+    TRAINING_BOUNDS,
+    PatientMatchLimits,
+    TrainingSettings,
+)
 from service.core.settings.access import AccessSettings
-from service.core.settings.audit import AuditSettings
 from service.core.settings.beam import BeamSettings
 from service.core.settings.clinical import refusals
 from service.core.settings.config_file import SettingsError, config_path, read_config, unknown_variables
 from service.core.settings.groups import (
+    AuditSettings,
     ConnectionSettings,
     ContractSettings,
+    DatabaseSettings,
+    MonitoringSettings,
     PlanSettings,
     ReplaySettings,
     RoomSettings,
+    StorageSettings,
     StreamSettings,
 )
-from service.core.settings.monitoring import MonitoringSettings
 from service.core.settings.names import OVERRIDES, PREFIX, setting_name
 from service.core.settings.oidc import OidcSettings
 from service.core.settings.qa import QaSettings
-from service.core.settings.storage import DatabaseSettings, StorageSettings
 
 __all__ = ["Settings", "SettingsError", "load_settings", "sources"]
 

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 
-from service.engine_host.process.parent_death import end_with_the_service
+from service.engine_host.process.channels import end_with_the_service
 
 
 def main() -> None:

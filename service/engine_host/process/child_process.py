@@ -10,8 +10,7 @@ from pathlib import Path
 
 from engine.core.compiled import VARIABLE as FRAME_PATH
 from service.core.settings.names import PREFIX
-from service.engine_host.process.channels import BulkChannel, ControlChannel
-from service.engine_host.process.shared_page import SharedPage
+from service.engine_host.process.channels import BulkChannel, ControlChannel, SharedPage
 
 MODULE = "service.engine_host.process"
 CODE = Path(__file__).parents[3]

@@ -20,19 +20,25 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.control import ClientJournal, EngineStatus, LiveView, LoopStatus
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import ColorImage, frozen
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.motion.training_process.process_trainer import ProcessTrainer
+from engine.motion import ProcessTrainer
 from service.core.logging.nonblocking import NonblockingHandler
 from service.core.logging.redaction import install_private_log
 from service.core.schemas import sessions
 from service.engine_host.local_engine import LocalEngine, LoopEngine
-from service.engine_host.process.channels import BulkChannel, ChannelClosedError, ControlChannel
+from service.engine_host.process.channels import (
+    BulkChannel,
+    ChannelClosedError,
+    ControlChannel,
+    SharedPage,
+    wake_without_the_service,
+)
 from service.engine_host.process.messages import (
     CameraAnswer,
     CommandMessage,
@@ -51,8 +57,6 @@ from service.engine_host.process.messages import (
     Stop,
     portable,
 )
-from service.engine_host.process.parent_death import wake_without_the_service
-from service.engine_host.process.shared_page import SharedPage
 
 logger = logging.getLogger(__name__)
 

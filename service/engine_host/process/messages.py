@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.control import Command, EngineStatus, FrameRecord, GateTransition
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent
-from engine.motion.settings import PipelineSettings
+from engine.core.learning_status import LearningEvent
+from engine.motion import PipelineSettings
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.roles import SessionPlan

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.capture.drivers import is_any_installed
 from engine.core.errors import CommandRefusedError, TidegateError
-from engine.motion.settings import PipelineSettings
+from engine.motion import PipelineSettings
 from service.core.errors import EngineProcessError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings

@@ -33,9 +33,9 @@ from engine.core.commands import ActivateModel
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import ColorImage
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningEvent
 from service.core.errors import EngineProcessError
-from service.engine_host.process.channels import ChannelClosedError
+from service.engine_host.process.channels import SLOTS, ChannelClosedError
 from service.engine_host.process.child_process import ChildProcess
 from service.engine_host.process.messages import (
     CommandMessage,
@@ -49,7 +49,6 @@ from service.engine_host.process.messages import (
     Presence,
     Stop,
 )
-from service.engine_host.process.shared_page import SLOTS
 from service.engine_host.roles import SessionPlan
 
 logger = logging.getLogger(__name__)

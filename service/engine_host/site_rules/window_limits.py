@@ -1,19 +1,26 @@
-"""A session's window within the site's limits: it may narrow them, never widen them.
+"""A session's window, regions and head direction within the site's limits: it may narrow them, never widen them.
 
 Edges in per cent refer to a range that is not learned yet: they are checked against the site's edges when they are
 converted to mm, at arming (`engine.control.gate_controller`). The site's edges are mm. A phase and a volume bound no
-position: where the
-site has set its edges, every way into the beam needs a condition on a length beside them.
+position: where the site has set its edges, every way into the beam needs a condition on a length beside them.
+
+The head direction fits the room, and the plan's Patient Position. A patient lies along the couch, with the head towards
+the gantry (head first) or away from it (feet first). DICOM's Patient Position (0018,5100) says which, and on which side
+of the body the patient lies; only supine patients are measured, because the markers are ordered for a body that is seen
+from its front.
 """
 
+from dataclasses import replace
 from typing import TypeVar
 
 from engine.core.breath import LITRES_PER_MM, SignalChoice
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.gating import GateLimits, GateWindow, JoinedWindow
+from engine.motion import NamedRegion, PipelineSettings
 from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Condition, Window
+from service.core.settings.names import PREFIX
 from service.core.settings.settings import Settings
 
 NO_REGIONS = sessions.Regions()
@@ -160,3 +167,52 @@ def _at_most(field: str, value: float, high: float) -> None:
 
 def _broken(field: str, value: object, bound: str) -> BoundError:
     return BoundError(f"{field} must be {bound}", field=field, value=value, bound=bound)
+
+
+def measuring_with(
+    settings: PipelineSettings,
+    regions: sessions.Regions,
+    window: Window | None = None,
+    head_direction: HeadDirection | None = None,
+) -> PipelineSettings:
+    """Return how the pipeline measures a session: with its regions and head, and the points and breaths of its window.
+
+    Without a head direction the pipeline assumes one: the whole region and its volume do not depend on it.
+    """
+    named = tuple(
+        NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
+        for region in regions.named
+    )
+    line = regions.split
+    split = settings.split if line is None else (line.right_row, line.left_row)
+    return replace(
+        settings,
+        named=named,
+        split=split,
+        points=settings.points if window is None else tuple(dict.fromkeys((*window.points, *settings.points))),
+        breath_signals=settings.breath_signals if window is None else breath_signals(window, regions),
+        superior_px=settings.superior_px if head_direction is None else head_direction.superior_px,
+        extra_markers=regions.extra_markers or settings.extra_markers,
+    )
+
+
+FIELD = "head_direction"
+GANTRY_SIDE = f"{PREFIX}GANTRY_SIDE"
+HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE = "HFS", "FFS"
+SUPPORTED_POSITIONS = (HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE)
+
+
+def check_head_direction(head: HeadDirection | None, settings: Settings) -> None:
+    """Refuse a patient who would lie across the couch; raise BoundError."""
+    gantry = settings.gantry_side
+    if head is None or gantry is None or head in {gantry, gantry.opposite}:
+        return
+    bound = f"{gantry} (head first) or {gantry.opposite} (feet first): the gantry is at the {gantry} ({GANTRY_SIDE})"
+    raise BoundError(f"{FIELD} must be {bound}", field=FIELD, value=head.value, bound=bound)
+
+
+def head_of(position: str | None, gantry: HeadDirection | None) -> HeadDirection | None:
+    """Return where the head of a patient in this position lies; None if position or room are unknown."""
+    if position is None or gantry is None:
+        return None
+    return gantry if position == HEAD_FIRST_SUPINE else gantry.opposite

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DbSession
 
-from engine.core.head_direction import HeadDirection
-from service.access.request.caller import RequestCaller
+from engine.core.signals import HeadDirection
+from service.access.request.identity import RequestCaller
 from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.plans import (
@@ -22,8 +22,8 @@ from service.core.schemas.plans import (
     Prescribed,
     RtPlan,
 )
-from service.engine_host.site_rules.head_direction import FIELD, GANTRY_SIDE, SUPPORTED_POSITIONS, head_of
-from service.planning.rt_plan import records
+from service.engine_host.site_rules.window_limits import FIELD, GANTRY_SIDE, SUPPORTED_POSITIONS, head_of
+from service.planning.rt_plan import repository
 from service.planning.rt_plan.errors import (
     FractionDoneError,
     OverrideNotPersonalError,
@@ -126,7 +126,7 @@ class PlannedSessions:
         operator = caller.checked_actor(request.operator)
         with self._log.refusals(actor=operator, action=ACTION, detail={"rt_plan_id": plan_id}):
             with self._database.read() as db:
-                plan = records.content(records.plan_row(db, plan_id))
+                plan = repository.content(repository.plan_row(db, plan_id))
             group = _group(plan, request)
             _refuse_machines(request, caller)
             fraction = _Fraction(plan_id=plan_id, plan=plan, group=group, request=request, gantry=self._gantry)
@@ -220,7 +220,7 @@ class _Fraction:
 
     def _refuse_contradicted(self, db: DbSession) -> None:
         """Refuse a contradicted plan without an override, and a rejected plan always."""
-        later = records.contradictions(db, self.plan_id)
+        later = repository.contradictions(db, self.plan_id)
         if any(one.approval == "REJECTED" for one in later):
             msg = "the plan was rejected after it was imported: a later file with its UID has the status REJECTED"
             raise PlanRejectedError(msg, field="plan_id", value="REJECTED", bound="a plan that was not rejected")

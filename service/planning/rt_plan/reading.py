@@ -11,10 +11,9 @@ from service.core.schemas.plans import (
     PlanSetup,
     RtPlan,
 )
-from service.planning.rt_plan.element_reader import ElementReader
 from service.planning.rt_plan.errors import PlanError, PlanKindError
 from service.planning.rt_plan.gating import foreign_signals, prescribed, remark
-from service.planning.rt_plan.part10 import open_file, plain_uid
+from service.planning.rt_plan.part10 import ElementReader, open_file, plain_uid
 from service.planning.rt_plan.tags import PLAN, Tag, named
 from service.planning.rt_plan.values import Elements, elements_of
 
@@ -37,7 +36,7 @@ NOT_FOR_PATIENTS = frozenset({"VERIFICATION", "MACHINE_QA", "RESEARCH", "SERVICE
 
 
 def read_plan(content: bytes) -> RtPlan:
-    """Read a plan; the limits of `service.planning.rt_plan.element_reader` bound the work for any bytes.
+    """Read a plan; the limits of `service.planning.rt_plan.part10` bound the work for any bytes.
 
     Raises
     ------

@@ -2,28 +2,32 @@
 
 It stores the result of `service.planning.rt_plan.reading` with the site's reference for the patient, not the file. No
 part of a file becomes a path, and nothing is written before the file is read completely.
+
+Database queries on stored plans, and their conversion to answers.
 """
 
 import hashlib
 import hmac
+import json
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
-from service.core.schemas.plans import Plan, PlanPage, RtPlan
+from service.core.errors import NotFoundError
+from service.core.schemas.plans import Plan, PlanContradiction, PlanPage, PlanSummary, RtPlan
 from service.core.settings.settings import Settings
-from service.planning.rt_plan import records
 from service.planning.rt_plan.errors import PlanBusyError, PlanConflictError
 from service.planning.rt_plan.reading import read_plan
 from service.planning.rt_plan.tags import Tag, named
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog
+from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
 from service.storage.database.tables import PlanContradictionRow, PlanRow
@@ -77,9 +81,9 @@ class PlanRepository:
                 if not differing:
                     detail = _detail(row, sha256, is_known=is_known)
                     audit.append(db, Event(actor=operator, action=ACTION, detail=detail))
-                    answer = records.plan_answer(db, row)
+                    answer = plan_answer(db, row)
                     keep_answer(db, ACTION, key, body, answer)
-                elif not _is_only_approved(records.content(row), plan, differing):
+                elif not _is_only_approved(content(row), plan, differing):
                     _contradict(db, row, plan, sha256, operator, differing)
             if differing:  # after the transaction, so that the contradiction is stored
                 raise _conflict(plan, differing)
@@ -88,12 +92,12 @@ class PlanRepository:
     def page(self, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
         """List plans, newest first."""
         with self._database.read() as db:
-            return records.page(db, cursor, limit, patient_reference=patient_reference, label=label)
+            return page(db, cursor, limit, patient_reference=patient_reference, label=label)
 
     def detail(self, plan_id: str) -> Plan:
         """Return one plan; raise NotFoundError if there is none."""
         with self._database.read() as db:
-            return records.plan_answer(db, records.plan_row(db, plan_id))
+            return plan_answer(db, plan_row(db, plan_id))
 
     def _pseudonymised(self, plan: RtPlan) -> RtPlan:
         """Replace the patient ID by its keyed hash if the site sets a secret."""
@@ -105,7 +109,7 @@ class PlanRepository:
 
 def _stored_row(db: Session, plan: RtPlan, sha256: str, operator: str) -> tuple[PlanRow, bool]:
     """Return the row of the plan's UID and whether it existed; an existing row may have other content."""
-    row = records.row_of_uid(db, plan.sop_instance_uid)
+    row = row_of_uid(db, plan.sop_instance_uid)
     if row is not None:
         return row, True
     row = PlanRow(
@@ -126,8 +130,8 @@ def _differing(row: PlanRow, plan: RtPlan) -> list[str]:
 
     Positions are not compared with a plan that was stored before they were read.
     """
-    stored = records.content(row)
-    if not records.has_positions(row):
+    stored = content(row)
+    if not has_positions(row):
         plan = plan.model_copy(update={"setups": [one.model_copy(update={"position": None}) for one in plan.setups]})
     return [name for name in RtPlan.model_fields if getattr(stored, name) != getattr(plan, name)]
 
@@ -168,3 +172,72 @@ def _conflict(plan: RtPlan, differing: list[str]) -> PlanConflictError:
 def _detail(row: PlanRow, sha256: str, *, is_known: bool) -> dict[str, object]:
     fields = {name: getattr(row, name) for name in ("kind", "sop_instance_uid", "label", "patient_reference", "gating")}
     return {"rt_plan_id": row.id, "sha256": sha256, "is_new": not is_known, **fields}
+
+
+COLUMNS = ("id", "kind", "sop_instance_uid", "patient_reference", "label", "gating", "imported_by", "created_at")
+
+
+def plan_row(db: Session, plan_id: str) -> PlanRow:
+    """Return the row of a plan; raise NotFoundError if there is none."""
+    row = db.get(PlanRow, plan_id)
+    if row is None:
+        msg = "there is no such plan"
+        raise NotFoundError(msg, field="plan_id", value=plan_id)
+    return row
+
+
+def row_of_uid(db: Session, uid: str) -> PlanRow | None:
+    """Return the row of the plan with a SOP Instance UID, or None."""
+    return db.scalar(select(PlanRow).where(PlanRow.sop_instance_uid == uid))
+
+
+def contradictions(db: Session, plan_id: str) -> list[PlanContradiction]:
+    """Return the later files with other content under the plan's UID, newest first."""
+    of_plan = select(PlanContradictionRow).where(PlanContradictionRow.plan_id == plan_id)
+    rows = db.scalars(of_plan.order_by(PlanContradictionRow.created_at.desc(), PlanContradictionRow.id.desc()))
+    return [
+        PlanContradiction(
+            approval=row.approval,
+            differing=row.differing.split(),
+            imported_by=row.imported_by,
+            created_at=row.created_at,
+        )
+        for row in rows
+    ]
+
+
+def plan_answer(db: Session, row: PlanRow) -> Plan:
+    """Return the stored plan with its newest contradiction."""
+    return Plan(
+        **dict(content(row)),
+        id=row.id,
+        sha256=row.sha256,
+        imported_by=row.imported_by,
+        created_at=row.created_at,
+        contradicted=next(iter(contradictions(db, row.id)), None),
+    )
+
+
+def content(row: PlanRow) -> RtPlan:
+    """Return the content that was read from the file."""
+    return RtPlan.model_validate_json(row.document)
+
+
+def has_positions(row: PlanRow) -> bool:
+    """Whether the setups were stored with their positions: earlier versions did not read them."""
+    return all("position" in setup for setup in json.loads(row.document)["setups"])
+
+
+def page(db: Session, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
+    """List plans, newest first, optionally of one patient or one label."""
+    filters: Sequence[ColumnElement[bool]] = [
+        column == value
+        for column, value in ((PlanRow.patient_reference, patient_reference), (PlanRow.label, label))
+        if value is not None
+    ]
+    rows, next_cursor = queries.newest_first(db, PlanRow, cursor, limit, filters)
+    return PlanPage(items=[_summary(row) for row in rows], next_cursor=next_cursor)
+
+
+def _summary(row: PlanRow) -> PlanSummary:
+    return PlanSummary.model_validate({name: getattr(row, name) for name in COLUMNS})

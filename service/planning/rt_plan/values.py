@@ -8,8 +8,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from service.planning.rt_plan.element_reader import Item
 from service.planning.rt_plan.errors import PlanError
+from service.planning.rt_plan.part10 import Item
 from service.planning.rt_plan.tags import Tag, named, tag_number
 
 UID = re.compile(r"(0|[1-9][0-9]*)(\.(0|[1-9][0-9]*))*")

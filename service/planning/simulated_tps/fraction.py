@@ -16,10 +16,8 @@ from service.client import (
     UnreachableError,
     Window,
 )
-from service.planning.simulated_tps.delivered_beams import DeliveredBeams
-from service.planning.simulated_tps.delivery import BEAM_ON, BeamClock, Recorded, recorded
-from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
-from service.planning.simulated_tps.prescription import Prescription
+from service.planning.simulated_tps.delivery import BEAM_ON, BeamClock, DeliveredBeams, Recorded, recorded
+from service.planning.simulated_tps.prescription import FractionEndedError, Prescription, SessionOverError, TpsError
 from service.planning.simulated_tps.report import FractionReport, SessionReport
 from service.planning.simulated_tps.session_driver import (
     DeliverySettings,

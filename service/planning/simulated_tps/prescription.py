@@ -1,4 +1,7 @@
-"""Prescription of a fraction: the plan's beams in order, each with its beam-on time in seconds."""
+"""Prescription of a fraction: the plan's beams in order, each with its beam-on time in seconds.
+
+Errors that end a simulated fraction.
+"""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -6,11 +9,34 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from service.client import Plan
-from service.planning.simulated_tps.delivered_beams import Beam
-from service.planning.simulated_tps.errors import TpsError
+from service.planning.simulated_tps.delivery import Beam
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
+from engine.core.errors import TidegateError
+
+
+class TpsError(TidegateError):
+    """The simulated planning system cannot continue; the message gives the reason."""
+
+    code = "tps_failed"
+
+
+class FractionEndedError(TpsError):
+    """The fraction ends before all its beams are delivered."""
+
+    code = "tps_fraction_ended"
+
+
+class SessionOverError(TpsError):
+    """The session has ended before the fraction is delivered."""
+
+    code = "tps_session_over"
+
+    def __init__(self, status: str, detail: str) -> None:
+        self.status = status
+        super().__init__(f"the session is {status}: {detail or 'no reason given'}")
+
 
 MU_PER_MIN = 600.0
 """Dose rate that converts a meterset to seconds if no beam time is given."""

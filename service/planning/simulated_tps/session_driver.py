@@ -16,9 +16,8 @@ from enum import StrEnum
 from typing import Literal
 
 from service.client import Gap, LiveMessage, ProblemError, Sample, SessionDetail, TidegateClient, UnreachableError
-from service.planning.simulated_tps.delivered_beams import DeliveredBeams
-from service.planning.simulated_tps.delivery import US_PER_S, BeamClock, Seen
-from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
+from service.planning.simulated_tps.delivery import US_PER_S, BeamClock, DeliveredBeams, Seen
+from service.planning.simulated_tps.prescription import FractionEndedError, SessionOverError, TpsError
 
 HeadSide = Literal["top", "bottom", "left", "right"]
 OPEN = frozenset({"created", "running"})

@@ -3,21 +3,107 @@
 The gate counts the larger of the site's `TIDEGATE_CAMERA_LATENCY_MS` and what was measured of the session's camera, in
 every mode. Clinical mode refuses to arm where the measurement is missing for this camera and mode, too old, failed, or
 larger than the site's value. This runs at start and at arming, not per frame.
+
+The stored latencies of cameras: runs of QA of the kind ``latency``.
+
+Only finished runs that measured a number count; simulated runs never do. An attempt that gave none, as one whose light
+was out of view, says nothing of the camera.
+
+The cameras' latencies as the API and the command line list them.
 """
 
+import json
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
+from typing import cast
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from engine.capture import SourceDescription
 from engine.gating import LIMIT_BOUNDS
+from engine.qa import QaKind
 from service.core.errors import BoundError, CameraLatencyError
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 from service.qa.latency import schemas
-from service.qa.latency.records import MeasuredLatency, largest_counted_ms, newest_latencies
+from service.qa.latency.schemas import CameraMode
+from service.qa.schemas import Verdict
 from service.storage.database.engine import Database
+from service.storage.database.tables import QaOutcomeRow, QaResultRow, QaRunRow
+
+MEDIAN, P95, WORST, UNCERTAINTY = (f"camera_latency{end}_ms" for end in ("", "_p95", "_worst", "_uncertainty"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredLatency:
+    """A measured latency [ms] of a camera in one mode."""
+
+    run_id: str
+    at: datetime
+    operator: str
+    camera: CameraMode
+    median_ms: float
+    p95_ms: float
+    worst_ms: float
+    uncertainty_ms: float
+    verdict: Verdict
+
+    @property
+    def counted_ms(self) -> float:
+        """What the gate counts for the camera, at least: median and uncertainty, rounded up to a tenth [ms]."""
+        return math.ceil(10.0 * (self.median_ms + self.uncertainty_ms) - 1e-6) / 10.0
+
+
+def newest_latencies(db: Session) -> list[MeasuredLatency]:
+    """Return the newest latency of each camera and mode, newest first."""
+    query = (
+        select(QaRunRow, QaOutcomeRow)
+        .join(QaOutcomeRow, QaOutcomeRow.run_id == QaRunRow.id)
+        .join(QaResultRow, QaResultRow.run_id == QaRunRow.id)
+        .where(
+            QaRunRow.kind == QaKind.LATENCY.value,
+            QaRunRow.is_simulated.is_(False),
+            QaOutcomeRow.status == "finished",
+            QaResultRow.code == MEDIAN,
+            QaResultRow.value.is_not(None),
+        )
+        .order_by(QaRunRow.created_at.desc(), QaRunRow.id.desc())
+    )
+    found: dict[str, MeasuredLatency] = {}
+    for run, outcome in db.execute(query).all():
+        measured = _measured(db, run, outcome)
+        found.setdefault(measured.camera.model_dump_json(), measured)
+    return list(found.values())
+
+
+def largest_counted_ms(measured: Sequence[MeasuredLatency], serial: str) -> float:
+    """Return the largest latency [ms] of the camera with this serial number, 0 without one.
+
+    Every mode counts, because the mode is not known before the camera is opened; every camera does where the
+    calibration has no serial number.
+    """
+    return max((one.counted_ms for one in measured if not serial or one.camera.serial == serial), default=0.0)
+
+
+def _measured(db: Session, run: QaRunRow, outcome: QaOutcomeRow) -> MeasuredLatency:
+    request = json.loads(run.request)
+    rows = db.scalars(select(QaResultRow).where(QaResultRow.run_id == run.id)).all()
+    values = {row.code: math.inf if row.value is None else row.value for row in rows}
+    return MeasuredLatency(
+        run_id=run.id,
+        at=run.created_at,
+        operator=run.operator,
+        camera=CameraMode.model_validate_json(json.dumps(request["camera"])),
+        median_ms=values[MEDIAN],
+        p95_ms=values.get(P95, math.inf),
+        worst_ms=values.get(WORST, math.inf),
+        uncertainty_ms=values.get(UNCERTAINTY, math.inf),
+        verdict=cast("Verdict", outcome.verdict or "fail"),
+    )
+
 
 COMMAND = "tidegate qa latency"
 ADVICE = f"measure it ({COMMAND}; docs/2-clinical/latency.md)"
@@ -107,3 +193,20 @@ def unfit(found: MeasuredLatency, settings: Settings, now: datetime) -> str | No
             "and restart"
         )
     return None
+
+
+def latency_list(db: Session, settings: Settings) -> schemas.CameraLatencyList:
+    """Return the newest latency of each camera and mode, each with why clinical mode would refuse it."""
+    now = datetime.now(UTC)
+    return schemas.CameraLatencyList(
+        configured_ms=settings.camera_latency_ms,
+        max_age_days=settings.qa_latency_max_age_days,
+        items=[
+            schemas.CameraLatency(
+                **{field.name: getattr(one, field.name) for field in fields(one)},
+                counted_ms=one.counted_ms,
+                refusal=unfit(one, settings, now),
+            )
+            for one in newest_latencies(db)
+        ],
+    )

@@ -7,13 +7,8 @@ import threading
 
 from engine.capture import DepthSource, SourceDescription, drivers
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
-from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.inputs import QaInputs
-from engine.qa.latency.light_driver import BeamLineLight
-from engine.qa.latency.light_pattern import intervals_ns
-from engine.qa.latency.measure import LEAD_S, LightInput
-from engine.qa.results import QaKind, QaReport
-from engine.qa.run import Progress, run_qa
+from engine.qa import Progress, QaBaseline, QaBounds, QaInputs, QaKind, QaReport, run_qa
+from engine.qa.latency import LEAD_S, BeamLineLight, LightInput, intervals_ns
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, joined, published
 from service.qa.guarded_line import GuardedLine

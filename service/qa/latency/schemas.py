@@ -5,8 +5,7 @@ from typing import Annotated, Self
 from pydantic import AwareDatetime, Field
 
 from engine.capture import SourceDescription
-from engine.qa.latency.light_timing import OUTPUT_BOUNDS_MS
-from engine.qa.latency.measure import SECONDS_BOUNDS
+from engine.qa.latency import OUTPUT_BOUNDS_MS, SECONDS_BOUNDS
 from service.core.schemas.base import Answer, Identifier, Name, Request
 from service.qa.schemas import Note, Verdict
 

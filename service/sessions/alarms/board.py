@@ -1,6 +1,7 @@
 """The active alarms, and the events that made them: an alarm begins, is acknowledged, and ends.
 
 Thread-safe; nothing here waits for more than the board's own lock, and nothing reads a clock: the caller passes times.
+What of the newest view is an alarm, and how alarms are shown, are pure functions.
 """
 
 import threading
@@ -10,8 +11,11 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
 
+from engine.control import LiveView
 from engine.core.clock import NS_PER_S
-from service.core.alarm_table import ALARMS, AlarmRule
+from engine.core.gate_state import GateState, HoldReason
+from service.core.alarm_table import ALARMS, AUDIT_TROUBLE, PERMIT_WITHOUT_BEAM, THREAD_ENDED, AlarmRule, AlarmScope
+from service.core.schemas.live_messages import LiveAlarm, LiveAlarmEvent
 
 CLEAR_NS = NS_PER_S
 """A condition that is absent for less than this counts as lasting, so that a flickering one is one alarm."""
@@ -197,3 +201,69 @@ class AlarmBoard:
         )
         self._events.append(event)
         self._event_number = event.number
+
+
+def live_alarm(alarm: Alarm) -> LiveAlarm:
+    """Return one alarm."""
+    rule = alarm.rule
+    return LiveAlarm(
+        number=alarm.number,
+        session_id=alarm.session_id,
+        code=rule.code,
+        priority=rule.priority.value,
+        text=rule.text,
+        detail=alarm.detail,
+        since=alarm.since,
+        latches=rule.latches,
+        acknowledged_by=alarm.acknowledged_by,
+        acknowledged_at=alarm.acknowledged_at,
+    )
+
+
+def live_alarms(alarms: Iterable[Alarm]) -> list[LiveAlarm]:
+    """Return alarms in their order."""
+    return [live_alarm(alarm) for alarm in alarms]
+
+
+def live_alarm_event(event: AlarmEvent) -> LiveAlarmEvent:
+    """Return a change of an alarm."""
+    return LiveAlarmEvent(number=event.number, kind=event.kind.value, at=event.at, alarm=live_alarm(event.alarm))
+
+
+UNKNOWN = HoldReason.UNKNOWN.value
+BEAM_WITHOUT_PERMIT = HoldReason.BEAM_WITHOUT_PERMIT.value
+
+
+def gate_conditions(view: LiveView) -> dict[str, str]:
+    """Return what stands as an alarm in a view: the latched fault, a hold of an armed gate, and the beam itself.
+
+    A beam without a permit is an alarm whatever else the gate is latched for, and disarmed too.
+    """
+    found: dict[str, str] = {}
+    reason = view.record.hold_reason
+    if view.record.gate_state is GateState.FAULT:
+        found[fault_code(reason)] = view.detail
+    elif reason is not None and view.is_armed and _is_alarm(reason.value, AlarmScope.ARMED):
+        found[reason.value] = view.detail
+    beam_on = view.beam_on
+    if beam_on is not None and beam_on.violation is not None:
+        found[BEAM_WITHOUT_PERMIT] = beam_on.violation
+    if beam_on is not None and beam_on.is_absent and view.is_armed:
+        found[PERMIT_WITHOUT_BEAM] = ""
+    return found
+
+
+def site_conditions(audit_troubles: Iterable[str], ended_threads: Iterable[str]) -> dict[str, str]:
+    """Return the service's own conditions while a session runs."""
+    found = {AUDIT_TROUBLE: "; ".join(audit_troubles), THREAD_ENDED: ", ".join(ended_threads)}
+    return {code: detail for code, detail in found.items() if detail}
+
+
+def fault_code(reason: HoldReason | None) -> str:
+    """Return the alarm of a latched fault: a reason that has none is an unknown one, and the most urgent."""
+    return reason.value if reason is not None and _is_alarm(reason.value, AlarmScope.FAULT) else UNKNOWN
+
+
+def _is_alarm(code: str, scope: AlarmScope) -> bool:
+    rule = ALARMS.get(code)
+    return rule is not None and rule.scope is scope

@@ -17,12 +17,18 @@ from engine.core.clock import NS_PER_US, Clock, MonotonicClock
 from service.core.periodic import PeriodicWorker
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import RunningSession
-from service.sessions.alarms.board import Alarm, AlarmBoard, AlarmEvent, AlarmEventKind
-from service.sessions.alarms.conditions import gate_conditions, site_conditions
+from service.sessions.alarms.board import (
+    Alarm,
+    AlarmBoard,
+    AlarmEvent,
+    AlarmEventKind,
+    gate_conditions,
+    site_conditions,
+)
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
 from service.storage.database.engine import Database
-from service.storage.database.retried_write import RetriedWriter
+from service.storage.database.queries import RetriedWriter
 
 logger = logging.getLogger(__name__)
 

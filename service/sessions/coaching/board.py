@@ -11,8 +11,7 @@ from engine.control import EngineStatus, LiveView
 from engine.core.gate_state import GateState
 from engine.gating import HoldStage
 from service.core.errors import BoundError, SessionStateError
-from service.core.schemas.coach_messages import Language
-from service.core.schemas.coaching import Coaching
+from service.core.schemas.coaching import Coaching, Language
 from service.engine_host.roles import LiveFrame, RunningSession
 from service.sessions.coaching.guide import US_PER_S, GuideFrame, guide_frame, guided_by, span_of
 from service.storage.audit import Event

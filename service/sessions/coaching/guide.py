@@ -11,12 +11,10 @@ from typing import NamedTuple
 from engine.control import LiveView
 from engine.core.breath import SignalChoice
 from engine.core.gate_state import Guidance, HoldReason
-from engine.core.ranges import LearnedRange
-from engine.core.signals import signal_of
+from engine.core.signals import LearnedRange, signal_of
 from engine.gating import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldKind, HoldStage, Unit, initial_states
-from service.core.finite import rounded_or_none
-from service.core.schemas.coach_messages import Instruction
-from service.core.schemas.coaching import Coaching, PercentRange
+from service.core.schemas.base import rounded_or_none
+from service.core.schemas.coaching import Coaching, Instruction, PercentRange
 
 US_PER_S = 1e6
 DIGITS = 3

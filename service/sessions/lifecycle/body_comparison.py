@@ -13,8 +13,7 @@ from sqlalchemy import select
 from engine.core.errors import TidegateError
 from engine.core.frames import FloatArray
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.patient_match import PatientMatchLimits
-from engine.motion.learning.rigid_fit import rigid_between
+from engine.motion import PatientMatchLimits, rigid_between
 from service.engine_host.roles import BodyMatch
 from service.storage.audit import SYSTEM, Event
 from service.storage.database.engine import Database

@@ -2,24 +2,31 @@
 
 A command that takes permission away is executed first and audited afterwards, over database connections reserved for
 it. A command that may lead to a permit is audited first, and not executed when the audit cannot be written.
+
+A named person acknowledges the latched fault and the alarms: one call for both.
+
+The gate's fault is acknowledged by the engine, which may refuse; only then are the alarms. An alarm that begins after
+the request came is not acknowledged with it: nobody has seen it.
 """
 
 import time
-from collections.abc import Callable
-from concurrent.futures import CancelledError
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from collections.abc import Callable, Collection
+from concurrent.futures import CancelledError, TimeoutError as FutureTimeoutError
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from engine.control import MAX_WAIT_NS, Command
 from engine.core.commands import Acknowledge, Arm, Countersign, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import CommandRefusedError
+from engine.core.gate_state import GateState
 from engine.gating import SetWindow
+from service.core.current_request import request_time_ns
 from service.core.errors import EngineTimeoutError, SessionStateError
-from service.core.request_time import request_time_ns
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import CommandName, RunningEngine, RunningSession
-from service.sessions.records.withdrawals import Withdrawals
+from service.sessions.alarms.board import Alarm, fault_code
+from service.sessions.alarms.watch import AlarmWatch
+from service.sessions.records.etags import Withdrawals
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog
 from service.storage.database import queries
@@ -134,3 +141,52 @@ def _refuse_late(command: Command) -> None:
     if isinstance(command, AGES_FROM_ARRIVAL) and time.monotonic_ns() - request_time_ns() > MAX_WAIT_NS:
         msg = "the service was busy for too long: check the session, then try again"
         raise CommandRefusedError(msg)
+
+
+ACTION = "session.acknowledge"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Acknowledgement:
+    """Acknowledges faults and alarms, and audits who did."""
+
+    alarms: AlarmWatch
+    equipment: EquipmentSlot
+    commander: EngineCommander
+
+    def acknowledge(self, session_id: str, operator: str, wanted: Collection[int] | None) -> None:
+        """Acknowledge the alarms with the numbers ``wanted``, or everything that is active now.
+
+        Raises
+        ------
+        CommandRefusedError
+            There is nothing to acknowledge, or the engine refused.
+        SessionStateError
+            The session does not run, and left no alarm.
+        """
+        self.alarms.look()  # a fault of this instant is seen with the others
+        active = self.alarms.board.active_of(session_id)
+        seen = [alarm for alarm in active if wanted is None or alarm.number in wanted]
+        is_new = any(alarm.acknowledged_by is None for alarm in seen)
+        detail: dict[str, object] = {"alarms": [alarm.number for alarm in seen]}
+        if self._is_of_gate(session_id, seen) or (wanted is None and not is_new):
+            self.commander.execute(session_id, Acknowledge(operator=operator), operator, ACTION, detail)
+        else:
+            log = self.commander.log
+            with log.refusals(actor=operator, action=ACTION, session_id=session_id, detail=detail):
+                self._refuse_unless(session_id, is_new=is_new)
+            log.write(Event(actor=operator, action=ACTION, session_id=session_id, detail=detail))
+        self.alarms.acknowledge(session_id, seen, operator)
+
+    def _is_of_gate(self, session_id: str, seen: Collection[Alarm]) -> bool:
+        """Whether the fault that the gate has latched is one of the alarms."""
+        view = self.equipment.view(session_id)
+        if view is None or view.record.gate_state is not GateState.FAULT:
+            return False
+        code = fault_code(view.record.hold_reason)
+        return any(alarm.rule.code == code for alarm in seen)
+
+    def _refuse_unless(self, session_id: str, *, is_new: bool) -> None:
+        if not is_new:
+            self.commander.running(session_id)  # of an unknown or closed session, this is the better answer
+            raise CommandRefusedError("none of these alarms is active and not yet acknowledged: look again")

@@ -21,29 +21,32 @@ from engine.core.commands import (
     SetReference,
     SignPosition,
 )
-from engine.core.head_direction import HeadDirection
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
+from engine.core.signals import HeadDirection
 from service.core.errors import BoundError, PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
-from service.sessions.lifecycle.acknowledgement import Acknowledgement
-from service.sessions.lifecycle.baseline_correction import (
+from service.sessions.lifecycle.commands import (
+    COMMANDS,
+    Acknowledgement,
+    EngineCommander,
+    state_error,
+    takes_permission_away,
+)
+from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
+from service.sessions.lifecycle.window_setting import (
+    WindowSetting,
     check_correction,
     correction_detail,
     moved_window,
     naming_the_field,
     window_detail,
 )
-from service.sessions.lifecycle.commands import COMMANDS, EngineCommander, state_error, takes_permission_away
-from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
-from service.sessions.lifecycle.window_setting import WindowSetting
+from service.sessions.records.etags import Withdrawals
 from service.sessions.records.sessions import SessionRepository, session_answer
-from service.sessions.records.withdrawals import Withdrawals
-from service.sessions.views.live import camera_view, live_sample
-from service.sessions.views.position import live_position_check, tolerance_of
-from service.sessions.views.reference import proposal_views
-from service.sessions.views.surface import mesh_answer
+from service.sessions.views.live import camera_view, live_sample, mesh_answer
+from service.sessions.views.position import live_position_check, proposal_views, tolerance_of
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog

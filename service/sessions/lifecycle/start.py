@@ -8,21 +8,19 @@ from datetime import UTC, datetime
 from sqlalchemy.orm import Session
 
 from engine import __version__
-from engine.calibration.camera_calibration import parse_calibration
+from engine.calibration import parse_calibration
 from engine.control import LoopStatus
 from engine.core.errors import TidegateError
-from engine.core.first_reference import read_first_reference
-from engine.core.motion_model import MotionModel
-from engine.core.provenance import MAX_TEXT, ModelOrigin, check_patient
+from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_patient
+from engine.core.reference import read_first_reference
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
-from service.engine_host.site_rules.played_recordings import described_source
-from service.engine_host.site_rules.recording_folders import find_recording
-from service.engine_host.site_rules.uncalibrated import described
+from service.engine_host.site_rules.calibrations import described
+from service.engine_host.site_rules.recording_folders import described_source, find_recording
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error
@@ -33,14 +31,13 @@ from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.startup import redacted_settings, settings_sha256
 from service.storage.database import queries
-from service.storage.database.base import utc_text
+from service.storage.database.base import TimeAnchor, utc_text
 from service.storage.database.engine import Database
 from service.storage.files.journals import Journals
 from service.storage.files.motion_models import ModelStore
 from service.storage.samples.layout import SampleHead
 from service.storage.samples.recorder import SampleRecorder
 from service.storage.samples.store import SampleStore
-from service.storage.time_anchor import TimeAnchor
 
 # The metadata of a session's sample file: software, settings, calibration and model.
 

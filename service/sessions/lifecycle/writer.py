@@ -25,27 +25,24 @@ from engine.control import GateTransition, LoopStatus, TransitionJournal
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent
-from engine.core.motion_model import MotionModel
-from engine.core.provenance import ModelOrigin
-from engine.motion.learning.patient_match import PatientMatchLimits
+from engine.core.learning_status import LearningEvent
+from engine.core.motion_model import ModelOrigin, MotionModel
+from engine.motion import PatientMatchLimits
 from service.engine_host.roles import BodyMatch, RunningEngine
-from service.sessions.lifecycle.beam_offs import BeamOffs, beam_off_event
 from service.sessions.lifecycle.body_comparison import EarlierBody, body_event, compare_bodies
-from service.sessions.lifecycle.counters import HELD, SessionCounters
+from service.sessions.lifecycle.counters import HELD, BeamOffs, SessionCounters, beam_off_event
 from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event
 from service.sessions.recovery.journal import recover_orphan
 from service.storage import audit
 from service.storage.audit import SYSTEM
 from service.storage.database import queries
-from service.storage.database.base import utc_text
+from service.storage.database.base import TimeAnchor, utc_text
 from service.storage.database.engine import Database
-from service.storage.database.retried_write import RetriedWriter
+from service.storage.database.queries import RetriedWriter
 from service.storage.files.motion_models import ModelStore
 from service.storage.samples.figures import Figures
 from service.storage.samples.recorder import SampleRecorder
 from service.storage.samples.store import Settlement
-from service.storage.time_anchor import TimeAnchor
 
 logger = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from engine.capture import SourceDescription
 from engine.core.errors import TidegateError
-from engine.core.head_direction import depends_on_head
-from service.core.schemas.arming import ArmingItem, ArmingSummary
-from service.core.schemas.models import Model
+from engine.core.signals import depends_on_head
+from service.core.schemas.gate import ArmingItem, ArmingSummary
+from service.core.schemas.records import Model
 from service.core.schemas.sessions import SessionDetail
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot

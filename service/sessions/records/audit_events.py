@@ -8,9 +8,9 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from engine.control import GateTransition
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.model_file import header_text
+from engine.motion import header_text
 from service.core.schemas import sessions
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event

@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from engine.core.frames import FloatArray
-from service.core.schemas.models import Model, ModelPage, QualityMaps, Spectrum
+from service.core.schemas.records import Model, ModelPage, QualityMaps, Spectrum
 from service.engine_host.equipment import EquipmentSlot
 from service.storage.database import queries
 from service.storage.database.engine import Database

@@ -1,4 +1,10 @@
-"""Sessions as records: created once, one open at a time, read with their figures."""
+"""Sessions as records: created once, one open at a time, read with their figures.
+
+Sessions that continue an earlier one of their fraction, as after a crash.
+
+The earlier beam-on time is kept, to be shown. What is gated stays the same: another window, head direction, calibration
+or other regions would escape the budget of the fraction (:mod:`engine.control.reference_budget`).
+"""
 
 import json
 import uuid
@@ -9,33 +15,32 @@ from datetime import UTC, datetime
 from pydantic import TypeAdapter
 from sqlalchemy.orm import Session
 
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.control import LiveView
 from engine.core.errors import ModelMismatchError
-from engine.core.head_direction import HeadDirection
-from service.core.errors import SessionActiveError
-from service.core.finite import finite_or_none, rounded_or_none
+from engine.core.signals import HeadDirection
+from service.core.errors import BoundError, NotFoundError, SessionActiveError
 from service.core.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
 from service.core.schemas import sessions
+from service.core.schemas.base import finite_or_none, rounded_or_none
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort, RunningSession
-from service.engine_host.site_rules.head_direction import check_head_direction
-from service.engine_host.site_rules.played_recordings import check_source, described_source, warning_of_source
-from service.engine_host.site_rules.recording_folders import find_recording
-from service.engine_host.site_rules.uncalibrated import check_allowed, described, kind_of, warning_of
-from service.engine_host.site_rules.window_limits import check_window, gate_limits
-from service.sessions.alarms.board import AlarmBoard
-from service.sessions.alarms.views import live_alarms
+from service.engine_host.site_rules.calibrations import check_allowed, described, kind_of, warning_of
+from service.engine_host.site_rules.recording_folders import (
+    check_source,
+    described_source,
+    find_recording,
+    warning_of_source,
+)
+from service.engine_host.site_rules.window_limits import check_head_direction, check_window, gate_limits
+from service.sessions.alarms.board import AlarmBoard, live_alarms
 from service.sessions.records.calibrations import kept_row
-from service.sessions.records.continuation import continued, delivered_before_s
-from service.sessions.views.breath import live_breath, live_breath_hold
-from service.sessions.views.checks import live_checks
+from service.sessions.views.breath import live_breath, live_breath_hold, live_window
+from service.sessions.views.interlocks import live_checks
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
-from service.sessions.views.position import live_position_check, tolerance_of
-from service.sessions.views.reference import live_reference, proposal_views
-from service.sessions.views.window import live_window
+from service.sessions.views.position import live_position_check, live_reference, proposal_views, tolerance_of
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
 from service.storage.audit.log import AuditLog
@@ -43,8 +48,58 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
 from service.storage.database.tables import AuditRow, CalibrationRow, SessionRow
-from service.storage.files.capacity import refuse_without_room
+from service.storage.files.cleanup import refuse_without_room
 from service.storage.samples.figures import Figures
+
+FIELD = "continues"
+SAME = (
+    *("patient_reference", "plan_id", "fraction_id", "fraction_number", "rt_plan_id", "is_simulated_beam"),
+    *("window", "regions", "head_direction", "calibration_id"),
+)
+
+
+def continued(db: Session, row: SessionRow) -> dict[str, object]:
+    """Check what a new session continues, and return what the audit records of it; nothing if it continues none."""
+    if row.continues is None:
+        return {}
+    earlier = db.get(SessionRow, row.continues)
+    if earlier is None:
+        msg = "there is no such session"
+        raise NotFoundError(msg, field=FIELD, value=row.continues)
+    if earlier.started_at is None or earlier.status in queries.OPEN_STATUSES:
+        raise _refusal(row.continues, "a session that was started and is over", f"this one is {earlier.status}")
+    other = [name for name in SAME if getattr(earlier, name) != getattr(row, name)]
+    if other:
+        # The values may be another patient's.
+        raise _refusal(row.continues, "a session of the same fraction", f"this one differs in {', '.join(other)}")
+    later = queries.continuation_of(db, earlier.id)
+    if later is not None:
+        raise _refusal(row.continues, "a session that none continues", f"continue {later}")
+    return {"delivered_before_s": delivered_before_s(db, row)}
+
+
+def delivered_before_s(db: Session, row: SessionRow) -> float | None:
+    """Return the beam-on time of all sessions that this one continues [s]; None without one, or if one has none."""
+    if row.continues is None:
+        return None
+    total_s = 0.0
+    # Each session continues an older one: the chain ends.
+    earlier_id: str | None = row.continues
+    while earlier_id is not None:
+        earlier = queries.session_row(db, earlier_id)
+        if earlier.summary is None:
+            return None
+        beam_on_s = sessions.Summary.model_validate_json(earlier.summary).beam_on_s
+        if beam_on_s is None:
+            return None
+        total_s += beam_on_s
+        earlier_id = earlier.continues
+    return round(total_s, 3)
+
+
+def _refusal(value: str, bound: str, advice: str) -> BoundError:
+    return BoundError(f"{FIELD} must be {bound}: {advice}", field=FIELD, value=value, bound=bound)
+
 
 ACTION = "session.create"
 ARMING = ("session.arm", "session.release")

@@ -23,10 +23,10 @@ from service.sessions.records.audit_events import transition_event
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
 from service.storage.database import queries
+from service.storage.database.base import TimeAnchor
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow, SessionRow
 from service.storage.files.journals import Journals, is_let_go, read_unless_in_use
-from service.storage.time_anchor import TimeAnchor
 
 logger = logging.getLogger(__name__)
 

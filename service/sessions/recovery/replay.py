@@ -11,21 +11,33 @@ from sqlalchemy import select
 from engine.capture import part_of
 from engine.control import FrameRecord
 from engine.core.errors import TidegateError
-from engine.offline.replay.comparison import PROCESSOR, Comparison, comparison_of, this_machine
-from engine.offline.replay.header import METHOD, RAW, TapeHeader, read_head, this_software
-from engine.offline.replay.outcomes import Row, same, text_of
-from engine.offline.replay.replay import Replay, replay
-from engine.offline.replay.replaying_tap import Difference
-from engine.offline.replay.survey import Survey, survey
-from engine.offline.replay.tape_file import read_tape
-from engine.offline.replay.tape_writer import sha256_of
+from engine.offline.replay import (
+    METHOD,
+    PROCESSOR,
+    RAW,
+    Comparison,
+    Difference,
+    Replay,
+    Row,
+    Survey,
+    TapeHeader,
+    comparison_of,
+    read_head,
+    read_tape,
+    replay,
+    same,
+    sha256_of,
+    survey,
+    text_of,
+    this_machine,
+    this_software,
+)
 from service.engine_host.session_tape import encoding_of
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
-from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
-from service.storage.files.tapes import raw_path, tape_path
-from service.storage.samples.rows import sample_values
+from service.storage.files.motion_models import MODELS_FOLDER, ModelStore, raw_path, tape_path
+from service.storage.samples.layout import sample_values
 from service.storage.samples.store import SampleStore
 
 SAMPLES_FOLDER = "samples"

@@ -1,19 +1,24 @@
-"""Live messages and views from the engine's newest view. Pure functions; NaN and infinity become null."""
+"""Live messages and views from the engine's newest view. Pure functions; NaN and infinity become null.
+
+The newest frame's surface as a mesh, computed in the service on request, never in the engine.
+"""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 from engine.beam import BeamOnState
-from engine.calibration.camera_calibration import Calibration
+from engine.calibration import Calibration
 from engine.capture import SourceDescription
 from engine.control import LiveView, LoopStatus
-from engine.core.camera_view import CameraView
-from engine.core.frames import Measurement, Motion, PhaseLag
-from engine.core.patient_match import PatientMatch
-from service.core.finite import rounded_or_none
-from service.core.hold_texts import hold_text
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Measurement, Motion, PhaseLag
+from engine.core.learning_status import PatientMatch
+from engine.core.position_check import CameraView
+from engine.motion import surface_mesh
+from service.core.alarm_table import hold_text
+from service.core.errors import MeshMissingError
 from service.core.schemas import sessions
+from service.core.schemas.base import finite_or_none, rounded_or_none
 from service.core.schemas.live_messages import (
     LiveCameraView,
     LiveLag,
@@ -24,13 +29,10 @@ from service.core.schemas.live_messages import (
     Sample,
 )
 from service.engine_host.roles import BodyMatch, SessionPlan
-from service.engine_host.site_rules.camera_serial import serial_warning
-from service.engine_host.site_rules.uncalibrated import kind_of
-from service.sessions.views.breath import live_breath, live_breath_hold
-from service.sessions.views.checks import live_checks
-from service.sessions.views.position import live_position_check
-from service.sessions.views.reference import live_reference
-from service.sessions.views.window import live_window
+from service.engine_host.site_rules.calibrations import kind_of, serial_warning
+from service.sessions.views.breath import live_breath, live_breath_hold, live_window
+from service.sessions.views.interlocks import live_checks
+from service.sessions.views.position import live_position_check, live_reference
 
 DIGITS = 4
 POSITION_DIGITS = 2
@@ -281,3 +283,25 @@ def _accelerator_beam(state: BeamOnState | None) -> Literal["on", "off", "unknow
     if state is None:
         return None
     return "unknown" if state.is_on is None else "on" if state.is_on else "off"
+
+
+SURFACE_DIGITS = 3
+
+
+def mesh_answer(view: LiveView | None) -> sessions.SurfaceMesh:
+    """Return the surface of the newest frame; raise MeshMissingError where it was not measured."""
+    measurement = None if view is None else view.record.measurement
+    motion = None if measurement is None else measurement.motion
+    if measurement is None or motion is None or len(motion.surface_mm) != NODE_ROWS * NODE_COLUMNS:
+        msg = "the session does not run, or its newest frame was not measured"
+        raise MeshMissingError(msg)
+    mesh = surface_mesh(motion.surface_mm, NODE_ROWS, NODE_COLUMNS)
+    return sessions.SurfaceMesh(
+        frame_index=measurement.frame_index,
+        timestamp_us=measurement.timestamp_us,
+        rows=NODE_ROWS,
+        columns=NODE_COLUMNS,
+        volume_l=finite_or_none(motion.volume_l),
+        vertices_mm=mesh.vertices_mm.round(SURFACE_DIGITS).tolist(),
+        triangles=mesh.triangles.tolist(),
+    )

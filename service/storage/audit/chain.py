@@ -3,11 +3,16 @@
 A changed, removed or inserted row breaks the chain there; `service.storage.audit.verification` finds it. The chain
 alone does not show that its newest rows were deleted or that all of it was hashed anew; the heads outside the database
 do (`service.storage.audit.anchors`).
+
+For whom a machine acts, and which part of its request body was ignored; added to each audit row of the request.
+
+Context variables: each request has its own values, and the layers between router and audit need not pass them.
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal, NamedTuple, cast
@@ -15,7 +20,6 @@ from typing import Literal, NamedTuple, cast
 from sqlalchemy import Table, insert, select
 from sqlalchemy.orm import Session
 
-from service.storage.audit import on_behalf
 from service.storage.database.base import utc_text
 from service.storage.database.tables import AuditRow
 
@@ -71,7 +75,7 @@ def append(db: Session, event: Event, at: datetime | None = None) -> Link:
         action=event.action,
         outcome=event.outcome,
         session_id=event.session_id,
-        detail=canonical_json({**event.detail, **on_behalf.audit_fields()}),
+        detail=canonical_json({**event.detail, **audit_fields()}),
         previous_hash=GENESIS_HASH if last is None else last.hash,
         hash="",
     )
@@ -85,3 +89,23 @@ def seal(row: AuditRow | Link, *, sequence: int | None = None) -> str:
     place = row.sequence if sequence is None else sequence
     content = [place, row.at, row.actor, row.action, row.outcome, row.session_id, row.detail, row.previous_hash]
     return hashlib.sha256(_encode(content).encode()).hexdigest()
+
+
+_on_behalf_of: ContextVar[str | None] = ContextVar("tidegate_on_behalf_of", default=None)
+_unread: ContextVar[str | None] = ContextVar("tidegate_unread", default=None)
+
+
+def act_for(person: str) -> None:
+    """Set the person on whose behalf the rest of this request acts."""
+    _on_behalf_of.set(person)
+
+
+def leave_unread(what: str) -> None:
+    """Record which part of this request's body was ignored."""
+    _unread.set(what)
+
+
+def audit_fields() -> dict[str, object]:
+    """Return the fields to add to an audit row's detail; empty if nothing was set."""
+    found = {"on_behalf_of": _on_behalf_of.get(), "body_not_read": _unread.get()}
+    return {name: value for name, value in found.items() if value is not None}

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 from service.core.errors import AuditBusyError, NotFoundError
 from service.core.list_filters import ALL_ROWS, AuditFilter
-from service.core.schemas.problems import Problem
+from service.core.schemas.base import Problem
 from service.storage.audit import Event
 from service.storage.audit.anchors import AnchorFile, AnchorReport
 from service.storage.audit.check import lost_lines, reader, row_at, with_report
 from service.storage.audit.export import ExportRequest, write_export
-from service.storage.audit.log import AuditLog
-from service.storage.audit.schemas import AuditPage, AuditVerification
+from service.storage.audit.log import AuditLog, AuditPage, AuditVerification
 from service.storage.audit.verification import Verification, Walk, head_sequence, pieces
 from service.storage.database.engine import Database
 

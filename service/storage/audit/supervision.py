@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, Clock, MonotonicClock
 from service.core.periodic import PeriodicWorker
-from service.core.settings.audit import AuditSettings
+from service.core.settings.groups import AuditSettings
 from service.storage.audit import startup as start
 from service.storage.audit.anchors import AnchorFile, AnchorKind
 from service.storage.audit.chain import SYSTEM, Event

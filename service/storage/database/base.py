@@ -1,6 +1,11 @@
-"""Shared by all tables: the declarative base, and the column type for UTC times."""
+"""Shared by all tables: the declarative base, and the column type for UTC times.
 
-from datetime import UTC, datetime
+Conversion from the engine's monotonic nanoseconds to UTC.
+"""
+
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator
 from sqlalchemy.orm import DeclarativeBase
@@ -36,3 +41,20 @@ class UtcTime(TypeDecorator[datetime]):
     def process_result_value(self, value: str | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002 - signature of the base
         """Return the aware time; None for NULL."""
         return None if value is None else datetime.fromisoformat(value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeAnchor:
+    """The UTC time and the monotonic time [ns] of one instant."""
+
+    at: datetime
+    at_ns: int
+
+    @classmethod
+    def now(cls) -> "TimeAnchor":
+        """Read both clocks, one directly after the other."""
+        return cls(at=datetime.now(UTC), at_ns=time.monotonic_ns())
+
+    def utc(self, at_ns: int) -> datetime:
+        """Convert a monotonic time [ns] to UTC, with microsecond resolution."""
+        return self.at + timedelta(microseconds=(at_ns - self.at_ns) / 1000)

@@ -13,7 +13,7 @@ from service.storage.database import migrations
 from service.storage.database.sqlite import file_identity, make_sqlite_engine, writing_sqlite_engine
 
 if TYPE_CHECKING:  # the driver of PostgreSQL is loaded where a database of it is opened
-    from service.storage.database.claim import ServiceClaim
+    from service.storage.database.postgres import ServiceClaim
 
 BUSY_TIMEOUT_S = 5.0
 ANSWER_TIMEOUT_S = 10.0
@@ -108,7 +108,7 @@ class Database:
         """
         if isinstance(self.place, Path):
             return
-        from service.storage.database.claim import ServiceClaim
+        from service.storage.database.postgres import ServiceClaim
 
         claim = ServiceClaim(self.place)
         try:

@@ -1,6 +1,12 @@
-"""Removes files older than the site's retention: at the start and every hour, never while a session runs."""
+"""Removes files older than the site's retention: at the start and every hour, never while a session runs.
 
+Whether there is room for another session, before one begins; while one runs, the writer holds as the disk fills.
+"""
+
+import contextlib
 import logging
+import os
+import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +17,10 @@ from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
 from engine.core.files import file_sha256, sync_folder
+from service.core.errors import StorageLowError
 from service.core.periodic import PeriodicWorker
+from service.core.settings.groups import StorageSettings
 from service.core.settings.settings import Settings
-from service.core.settings.storage import StorageSettings
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
 from service.storage.database.base import utc_text
@@ -22,7 +29,7 @@ from service.storage.database.idempotency import forget_answers
 from service.storage.database.queries import OPEN_STATUSES
 from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.database.tables import SessionRow
-from service.storage.files.tapes import RAW_FOLDER, TAPES_FOLDER
+from service.storage.files.motion_models import RAW_FOLDER, TAPES_FOLDER
 
 # Removal of old samples, tapes and raw recordings: by age alone, oldest first, each with a row in the audit.
 #
@@ -162,3 +169,54 @@ class CleanupWorker:
             logger.warning("old files could not be removed: %s", type(error).__name__)
             return AGAIN_S
         return EVERY_S
+
+
+MIB = 1024 * 1024
+GIB = 1024 * MIB
+FRAMES_A_MINUTE = 30 * 60
+BYTES_A_FRAME = 1700
+"""A sample in its stream and in the Parquet file beside it, with room to spare."""
+
+
+def session_bytes(settings: Settings) -> int:
+    """Disk space of a session of the site's length [bytes]; raw recordings check the disk themselves."""
+    return int(settings.session_room_min * FRAMES_A_MINUTE * BYTES_A_FRAME)
+
+
+def refuse_without_room(settings: Settings, make_room: Callable[[], object]) -> None:
+    """Raise StorageLowError if disk or quota have no room for a session, after removing old files."""
+    if _shortage(settings) is None:
+        return
+    with contextlib.suppress(OSError):  # a remaining shortage is reported below
+        make_room()
+    shortage = _shortage(settings)
+    if shortage is not None:
+        raise shortage
+
+
+def folder_bytes(folder: Path) -> int:
+    """Add up a folder's files; those that vanish meanwhile do not count."""
+    total = 0
+    for root, _, names in os.walk(folder):
+        for name in names:
+            try:
+                total += os.lstat(os.path.join(root, name)).st_size  # noqa: PTH118 - a path object a file is too slow
+            except FileNotFoundError:
+                continue
+    return total
+
+
+def _shortage(settings: Settings) -> StorageLowError | None:
+    needed = session_bytes(settings)
+    free = shutil.disk_usage(settings.data_dir).free - settings.min_free_disk_mb * MIB
+    if free < needed:
+        bound = f"at least {needed / MIB:.0f} MiB beyond the {settings.min_free_disk_mb:g} MiB that stay free"
+        msg = "the disk has no room for a session: make some, or let old samples be removed (docs/3-operate/samples.md)"
+        return StorageLowError(msg, field="disk", value=f"{max(free, 0) / MIB:.0f} MiB", bound=bound)
+    if settings.data_quota_gb:
+        held = folder_bytes(settings.data_dir)
+        if held + needed > settings.data_quota_gb * GIB:
+            bound = f"at most {settings.data_quota_gb:g} GiB with the {needed / MIB:.0f} MiB that a session takes"
+            msg = "the data folder's quota leaves no room for a session"
+            return StorageLowError(msg, field="data_quota_gb", value=f"{held / GIB:.3f} GiB held", bound=bound)
+    return None

@@ -1,4 +1,7 @@
-"""Motion models on disk: one file per model, named by the hash of its arrays and its provenance."""
+"""Motion models on disk: one file per model, named by the hash of its arrays and its provenance.
+
+Where a session's tape and its raw recording are stored: one file each, named after the session.
+"""
 
 import hashlib
 from collections.abc import Iterable
@@ -9,7 +12,8 @@ import numpy as np
 
 from engine.core.errors import ModelError
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.model_file import ARRAYS, OPTIONAL_ARRAYS, header_text, load_model, save_model
+from engine.motion import ARRAYS, OPTIONAL_ARRAYS, header_text, load_model, save_model
+from engine.offline.replay import SUFFIX
 
 MODELS_FOLDER = "models"
 _FIRST_HASHED = ("mean_mm", "components", "eigenvalues_mm2", "known", "surface_mm")
@@ -63,3 +67,16 @@ def _hash(model: MotionModel, names: Iterable[str]) -> str:
         if array is not None:
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+TAPES_FOLDER, RAW_FOLDER = "replays", "raw"
+
+
+def tape_path(data_dir: Path, session_id: str) -> Path:
+    """Return the path of a session's tape, whether or not it exists."""
+    return data_dir / TAPES_FOLDER / f"{session_id}{SUFFIX}"
+
+
+def raw_path(data_dir: Path, session_id: str) -> Path:
+    """Return the path of a session's raw camera recording; only sites with ``record_raw`` have one."""
+    return data_dir / RAW_FOLDER / f"{session_id}.oni"

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.gate_state import HoldReason
-from service.core.hold_texts import hold_text
+from service.core.alarm_table import hold_text
 from service.core.schemas import sessions
 
 NS_PER_US = 1000

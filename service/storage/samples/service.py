@@ -15,8 +15,8 @@ from service.core.schemas import sessions
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.samples.layout import SampleHead
-from service.storage.samples.memory import WrittenBytes
 from service.storage.samples.store import SampleStore
+from service.storage.samples.stream import WrittenBytes
 
 # A session's samples as CSV or Arrow, written piece by piece: memory use does not grow with the session.
 

@@ -2,8 +2,16 @@
 
 Arrow writes into memory; what it made goes to the file in one piece at a known place and is synced. A write that fails
 is done again at that place, so a file never holds a batch twice, and a kill leaves whole batches and at most one torn.
+
+The memory that Arrow writes a stream to, before it is written to the file.
+
+Seals: a SHA-256 over the bytes of a batch in the file, and over the seal before it.
+
+A batch carries its own seal in its metadata. It is taken with a blank of the same length in the seal's place, so every
+byte of the file is under a seal: head, batches, what describes them, and padding.
 """
 
+import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,10 +20,61 @@ import pyarrow as pa
 
 from engine.control import FrameRecord
 from engine.core.files import put_in_place, sync_folder
-from service.storage.samples.layout import SampleHead
-from service.storage.samples.memory import WrittenBytes
-from service.storage.samples.rows import batch_of
-from service.storage.samples.seal import BLANK, FIRST, seal_in_place
+from service.storage.samples.layout import SampleHead, batch_of
+
+FIRST = ""
+"""The seal before the first batch."""
+BLANK = "-" * 64
+
+
+def seal_of(before: str, message: bytes | bytearray | memoryview) -> str:
+    """Seal a message that has a blank where its seal belongs."""
+    digest = hashlib.sha256(before.encode())
+    digest.update(message)
+    return digest.hexdigest()
+
+
+def seal_in_place(written: bytearray, start: int, before: str) -> str:
+    """Seal the bytes from ``start`` on, and write the seal into its blank."""
+    with memoryview(written) as whole, whole[start:] as message:
+        seal = seal_of(before, message)
+    place = written.index(BLANK.encode(), start)
+    written[place : place + len(BLANK)] = seal.encode()
+    return seal
+
+
+def is_sealed(message: bytes, before: str, seal: str) -> bool:
+    """Whether a message from a file carries the seal that its bytes have."""
+    blank = message.replace(seal.encode(), BLANK.encode(), 1)
+    return len(seal) == len(BLANK) and seal_of(before, blank) == seal
+
+
+class WrittenBytes:
+    """Bytes that Arrow has written and that were not taken yet; pass ``sink`` to Arrow."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self.held = bytearray()
+        self.sink = pa.PythonFile(self, mode="w")
+
+    def write(self, piece: bytes) -> int:
+        """Append a piece; called by Arrow."""
+        self.held += memoryview(piece).cast("B")
+        return len(piece)
+
+    def flush(self) -> None:
+        """Do nothing; Arrow's side."""
+
+    def close(self) -> None:
+        """Do nothing; Arrow's side."""
+
+    def take(self) -> bytes:
+        """Return the bytes and clear the memory."""
+        taken = bytes(self.held)
+        self.held.clear()
+        return taken
+
 
 SEAL_KEY = "tidegate.sha256"
 BEFORE_KEY = "tidegate.sha256_before"

@@ -16,8 +16,7 @@ import pyarrow as pa
 
 from engine.core.errors import TidegateError
 from service.storage.samples.layout import SampleHead, head_of
-from service.storage.samples.seal import FIRST, is_sealed
-from service.storage.samples.stream import BEFORE_KEY, SEAL_KEY
+from service.storage.samples.stream import BEFORE_KEY, FIRST, SEAL_KEY, is_sealed
 
 END_MARK = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 ENOUGH_SEALS = 2

@@ -11,7 +11,7 @@ from service.core.list_filters import AuditFilter
 from service.core.schemas.base import Identifier, Name
 from service.storage.audit import Outcome
 from service.storage.audit.export import MEDIA, ExportRequest
-from service.storage.audit.schemas import AuditPage, AuditVerification
+from service.storage.audit.log import AuditPage, AuditVerification
 from service.web import dependencies
 from service.web.api import problems
 

@@ -4,12 +4,12 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 
-from engine.calibration.formats.convert import IMPORT_SCHEMA
+from engine.calibration.formats import IMPORT_SCHEMA
 from engine.core.errors import CalibrationError
 from service.core.conditional import etag_of
 from service.core.errors import BoundError, NotFoundError, OperatorMismatchError
 from service.core.schemas.base import Name
-from service.core.schemas.calibrations import CalibrationDetail, CalibrationPage, UploadedCalibration
+from service.core.schemas.records import CalibrationDetail, CalibrationPage, UploadedCalibration
 from service.web import dependencies
 from service.web.api import problems
 

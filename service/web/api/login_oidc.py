@@ -2,22 +2,43 @@
 
 The temporary cookie is ``SameSite=Lax``: the return is a navigation from another site, for which browsers do not send a
 strict cookie. The cookie alone grants nothing and expires with the pending log-in.
+
+Schemas of the available log-in methods.
 """
 
 from html import escape
-from typing import Annotated, cast
+from typing import Annotated, Literal, cast
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
+from pydantic import Field
 
 from service.access.login.cookies import CookieScope, set_login_cookie
-from service.access.oidc.errors import OidcReason
+from service.access.oidc.http_client import OidcReason
 from service.access.oidc.pending_logins import LIFE_S
 from service.access.oidc.people import AuthorizationResponse
 from service.access.oidc.service import BUSY, DISABLED, NOT_OFFERED, STORAGE, UNAVAILABLE, OidcService, Refusal
-from service.core.schemas.login_ways import LoginWays, OidcWay
+from service.core.schemas.base import Answer
 from service.web import dependencies
 from service.web.api import problems
+
+
+class OidcWay(Answer):
+    """The hospital's identity provider."""
+
+    label: str = Field(description="Label of the button")
+    is_reachable: bool = Field(description="Whether the provider answered the last request; informative")
+
+
+class LoginWays(Answer):
+    """Log-in methods that the page offers."""
+
+    password: bool
+    local_accounts: Literal["all", "break-glass"] = Field(
+        description="Accounts that may log in by password; a break-glass account must give a reason"
+    )
+    oidc: OidcWay | None
+
 
 router = APIRouter(tags=["access"])
 PLAIN_NAME = "tidegate_oidc"

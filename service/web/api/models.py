@@ -8,7 +8,7 @@ from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchErr
 from service.core.conditional import etag_of
 from service.core.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 from service.core.schemas import sessions
-from service.core.schemas.models import Model, ModelPage, QualityMaps, Spectrum
+from service.core.schemas.records import Model, ModelPage, QualityMaps, Spectrum
 from service.web import dependencies
 from service.web.api import problems
 from service.web.operator_calls import Operated

@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 
 from service.core.errors import BoundError
-from service.core.schemas.recordings import RecordingPage
+from service.core.schemas.records import RecordingPage
 from service.web import dependencies
 from service.web.api import problems
 

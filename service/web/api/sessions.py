@@ -51,9 +51,8 @@ from service.core.errors import (
 from service.core.list_filters import SessionFilter, TransitionFilter
 from service.core.permissions import Permission
 from service.core.schemas import sessions
-from service.core.schemas.arming import ArmingSummary
 from service.core.schemas.base import Name
-from service.core.schemas.gate import BaselineCorrectionRequest
+from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
 from service.web.api import problems

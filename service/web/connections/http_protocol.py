@@ -14,9 +14,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from service.access.request.identity import STATE
-from service.core.settings.connection_limits import ConnectionLimits
-from service.web.connections.abort import abort
-from service.web.connections.refusals import phrase_of, problem_answer
+from service.core.settings.groups import ConnectionLimits
+from service.web.connections.refusals import abort, phrase_of, problem_answer
 from service.web.connections.registry import ConnectionRegistry
 
 # Strict HTTP/1.1: requests that two parsers could read differently are refused.

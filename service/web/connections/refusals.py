@@ -1,9 +1,15 @@
 """Answers to connections that violate the protocol, and their counts in the log.
 
 At most one log line every ten seconds, with codes and counts; never an address or a byte that was sent.
+
+Aborts a connection and discards its buffers, including the kernel's.
 """
 
+import contextlib
 import logging
+import socket
+import struct
+from asyncio import Transport
 from collections import Counter
 from collections.abc import Callable
 from http import HTTPStatus
@@ -59,3 +65,20 @@ def problem_answer(status: int, detail: str) -> tuple[str, list[tuple[bytes, byt
 def phrase_of(status: int) -> bytes:
     """Return the reason phrase of an HTTP status."""
     return HTTPStatus(status).phrase.encode()
+
+
+_NO_LINGER = struct.pack("ii", 1, 0)
+
+
+def abort(transport: Transport) -> None:
+    """Abort a connection and discard unsent data; a plain close would keep sending to a client that does not read."""
+    try:
+        raw = transport.get_extra_info("socket")
+    except AttributeError:
+        # asyncio's TLS transport drops its connection when closed a second time, as uvicorn does: nothing can be
+        # aborted through it any more, and the TLS shutdown's own timeout ends the connection.
+        return
+    if raw is not None:
+        with contextlib.suppress(OSError):
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+    transport.abort()

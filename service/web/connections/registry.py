@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from service.access.request.addresses import plain
-from service.core.settings.connection_limits import ConnectionLimits
+from service.core.settings.groups import ConnectionLimits
 from service.web.connections.refusals import RefusalCount
 
 CHECK_PERIOD_S = 1.0

@@ -11,7 +11,7 @@ from uvicorn.config import Config
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
 
-from service.web.connections.abort import abort
+from service.web.connections.refusals import abort
 from service.web.connections.registry import ConnectionRegistry
 
 POLICY_VIOLATION = 1008

@@ -2,6 +2,8 @@
 
 Unhandled errors are answered here, so that their answers have the same id and headers as all others; the exception is
 raised again for the web server, which logs its location.
+
+The outermost middleware: stamps the time at which a request arrived, see `service.core.current_request`.
 """
 
 import logging
@@ -13,9 +15,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.request.identity import identity_in
 from service.access.request.rules import SOCKET
+from service.core.current_request import HEADER, arriving_now, begin_request, request_id_of
 from service.core.logging.redaction import FIELDS
-from service.core.logging.request_ids import HEADER, begin_request, request_id_of
-from service.monitoring.metrics.http import HttpCounters, RouteNames, method_of
+from service.monitoring.metrics.registry import HttpCounters, RouteNames, method_of
 from service.web.middleware.requests import SECURITY_HEADERS
 from service.web.problems.table import problem_of, problem_response
 
@@ -117,3 +119,18 @@ class RequestLog:
             if answer.method != SOCKET and answer.status == 0:
                 await problem_response(problem_of(error), SECURITY_HEADERS)(answer.scope, receive, send_noted)
             raise
+
+
+class Arrival:
+    """Stamps each HTTP request before it can wait; the route's thread inherits the context."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Stamp an HTTP request and pass it on; pass everything else on as it is."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        with arriving_now():
+            await self._app(scope, receive, send)

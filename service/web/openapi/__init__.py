@@ -9,10 +9,16 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service.core.schemas.problems import Problem
-from service.web.openapi.components import HEADERS, RESPONSES, SECURITY_SCHEMES, TAGS
-from service.web.openapi.contract_files import contract_files, write_contracts
-from service.web.openapi.operations import complete_operation
+from service.core.schemas.base import Problem
+from service.web.openapi.operations import (
+    HEADERS,
+    RESPONSES,
+    SECURITY_SCHEMES,
+    TAGS,
+    complete_operation,
+    contract_files,
+    write_contracts,
+)
 
 __all__ = ["contract_files", "describe_contract", "operation_id", "write_contracts"]
 

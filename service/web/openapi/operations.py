@@ -1,16 +1,107 @@
 """Completes every operation: request body, access, problems, headers of the answers.
 
 Everything is derived from the operation and the table of access rules; a router declares only its specific problems.
+
+Shared parts of the operations: authentication, headers, tags, the answers of problems.
+
+The contract files in the repository: OpenAPI, and both streams as JSON Schema.
 """
 
+import json
+import re
+from pathlib import Path
 from typing import Any
 
+from fastapi import FastAPI
+from pydantic import TypeAdapter
+
+from service.access.login.cookies import PLAIN_NAME
 from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, TAKES_PERMISSION_AWAY, Needs, Open
-from service.core.conditional import IF_MATCH as IF_MATCH_HEADER
-from service.core.conditional import IF_NONE_MATCH as IF_NONE_MATCH_HEADER
+from service.core.conditional import IF_MATCH as IF_MATCH_HEADER, IF_NONE_MATCH as IF_NONE_MATCH_HEADER
+from service.core.schemas import coaching, live_messages
 from service.storage.database.idempotency import HEADER as IDEMPOTENCY_HEADER
-from service.web.api import CODES, problem_answer
-from service.web.openapi.components import SECURITY_SCHEMES, header, shared_response
+from service.web.api import CODES, PROBLEM_CONTENT, problem_answer
+
+SECURITY_SCHEMES = {
+    "login": {
+        "type": "apiKey",
+        "in": "cookie",
+        "name": PLAIN_NAME,
+        "description": "Log-in cookie of a person; over TLS its name begins with `__Host-`. Calls "
+        "that change data must also send the page's Origin",
+    },
+    "key": {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "API key `tg_...` of a machine, or an access token of the site's identity provider",
+    },
+}
+TAGS = [
+    {"name": "sessions", "description": "A treatment fraction: create, start, arm, monitor, stop."},
+    {"name": "plans", "description": "Treatment plans imported from DICOM, and sessions created from them."},
+    {"name": "models", "description": "Motion models learned from a patient's breathing."},
+    {"name": "calibrations", "description": "Camera calibrations, identified by the hash of their content."},
+    {"name": "devices", "description": "Connected cameras."},
+    {"name": "recordings", "description": "Recordings that sessions may play."},
+    {"name": "interlocks", "description": "All interlocks that hold the beam, with this site's limits."},
+    {"name": "qa", "description": "Quality assurance: runs, reports, trends and baseline."},
+    {"name": "coaching", "description": "The patient screen: what it shows, and the screens that are paired."},
+    {"name": "live", "description": "The live stream of measurements and gate decisions."},
+    {"name": "audit", "description": "The append-only audit log: read, verify, export."},
+    {"name": "access", "description": "Log-ins, people and API keys."},
+    {"name": "health", "description": "Liveness, readiness and metrics."},
+]
+
+
+def _text_header(description: str, example: str, **schema: object) -> dict[str, Any]:
+    return {"description": description, "schema": {"type": "string", **schema}, "example": example}
+
+
+HEADERS = {
+    "X-Request-ID": _text_header(
+        "The id sent with the request, or a generated one; it is also in the logs", "0b7c3d3e9a4f4d0c8b1f2a6e5d4c3b2a"
+    ),
+    "ETag": _text_header(
+        "Strong validator of what callers can change; send it back as `If-Match`",
+        '"0f8fad5bd9cb469fa16570867728950e"',
+    ),
+    "Idempotency-Replayed": _text_header(
+        "Present if this is the stored answer to an earlier request with the same key", "true", enum=["true"]
+    ),
+    "Retry-After": {
+        "description": "Seconds to wait before retrying",
+        "schema": {"type": "string", "pattern": "^[0-9]+$"},
+        "example": "1",
+    },
+    "WWW-Authenticate": _text_header("Authentication scheme", 'Bearer realm="tidegate"'),
+    "Link": _text_header(
+        "RFC 8288: link to the next page; absent on the last page", '</api/v1/sessions?cursor=abc&limit=50>; rel="next"'
+    ),
+    "Location": _text_header("URL of the created resource", "/api/v1/sessions/0f8fad5bd9cb469fa16570867728950e"),
+}
+
+
+def header(name: str) -> dict[str, Any]:
+    """Return the reference to a shared header."""
+    return {"$ref": f"#/components/headers/{name}"}
+
+
+def shared_response(name: str) -> dict[str, Any]:
+    """Return the reference to a shared answer."""
+    return {"$ref": f"#/components/responses/{name}"}
+
+
+def _problem(description: str, *headers: str) -> dict[str, Any]:
+    names = ("X-Request-ID", *headers)
+    return {"description": description, "content": PROBLEM_CONTENT, "headers": {name: header(name) for name in names}}
+
+
+RESPONSES = {
+    "Problem": _problem("A problem (RFC 9457); `x-problem-codes` of the call has its codes by status"),
+    "ProblemForNow": _problem("A problem that may pass: repeat the call later", "Retry-After"),
+    "NotLoggedIn": _problem("Not logged in, or the log-in has expired", "WWW-Authenticate"),
+}
+
 
 Operation = dict[str, Any]
 Codes = dict[int, set[str]]
@@ -159,3 +250,46 @@ def _is_made_by_fastapi(answer: Operation | None) -> bool:
 
 def _is_page(operation: Operation) -> bool:
     return any(SHOWN_TO_PEOPLE in answer.get("content", {}) for answer in operation["responses"].values())
+
+
+OPENAPI_NAME = "openapi.json"
+LIVE_NAME = "live.schema.json"
+COACH_NAME = "coach.schema.json"
+INNERMOST = re.compile(r"[\[{][^\[\]{}]*[\]}]")
+LONGEST_LINE = 100
+
+
+def contract_files(app: FastAPI) -> dict[str, str]:
+    """Return the text of each contract file, by name."""
+    return {
+        OPENAPI_NAME: _text(app.openapi()),
+        LIVE_NAME: _schema(live_messages.LIVE_MESSAGE, live_messages.SCHEMA),
+        COACH_NAME: _schema(coaching.COACH_MESSAGE, coaching.SCHEMA),
+    }
+
+
+def write_contracts(app: FastAPI, folder: Path) -> list[Path]:
+    """Write the contract files into a folder; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, text in contract_files(app).items():
+        path = folder / name
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+    return written
+
+
+def _schema(messages: TypeAdapter[Any], title: str) -> str:
+    schema = messages.json_schema(mode="serialization")
+    return _text({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **schema})
+
+
+def _text(document: object) -> str:
+    """Return the document as text; what fits on one line is written on one."""
+    text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False)
+    return INNERMOST.sub(_on_one_line, text) + "\n"
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    line = f"{found[0][0]}{' '.join(found[0][1:-1].split())}{found[0][-1]}"
+    return line if "\n" in found[0] and len(line) <= LONGEST_LINE else found[0]

@@ -13,7 +13,7 @@ from engine.core import errors as engine_errors
 from engine.core.errors import TidegateError
 from service.core import errors
 from service.core.errors import SHOWN_CHARACTERS, shown
-from service.core.schemas.problems import BrokenBound, Problem
+from service.core.schemas.base import BrokenBound, Problem
 from service.planning.rt_plan import errors as plan_errors
 
 PROBLEM_TYPE = "urn:tidegate:problem:"

@@ -1,20 +1,29 @@
-"""The coaching stream: one task reads each new frame; every client gets the newest, however slow it is."""
+"""The coaching stream: one task reads each new frame; every client gets the newest, however slow it is.
+
+``/api/v1/coach/live``: the coaching stream as a WebSocket, for patient screens and the console's mirror.
+"""
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import cast
 
 import anyio
+from fastapi import APIRouter, WebSocket
+from starlette.websockets import WebSocketDisconnect
 
 from engine.core.clock import NS_PER_MS
-from service.core.schemas.coach_messages import CoachBand, CoachGuide, CoachWait
+from service.core.schemas.coaching import CoachBand, CoachGuide, CoachHello, CoachMessage, CoachWait
 from service.engine_host.roles import LiveFeed, LiveFrame
 from service.sessions.coaching.board import CoachingBoard, Guidance
-from service.web.stream.counts import CloseReason
-from service.web.stream.encoding import StreamClock
+from service.web.dependencies import access, caller, require_guarded
+from service.web.stream.encoding import Encoding, Form, Shape, StreamClock
 from service.web.stream.hub import CLIENT_CHECK_S, LOGIN_CHECK_S, POLL_S, MayWatch
+from service.web.stream.metrics import CloseReason
+from service.web.stream.transports import CLOSE_CODES, SocketConnection
 
 logger = logging.getLogger(__name__)
 WAIT_S = 0.1
@@ -188,3 +197,45 @@ class CoachHub:
                 client.checked_s = now_s
                 if not client.may_watch():
                     client.end("not_logged_in")
+
+
+router = APIRouter()
+SHAPE = Shape("websocket", Form.FULL, Encoding.JSON)
+
+
+@router.websocket("/coach/live")
+async def coach_live(websocket: WebSocket) -> None:
+    """Stream the newest guidance: `hello`, then `guide` with every frame or `wait`; see docs/4-integrate/stream.md."""
+    require_guarded(websocket)
+    hub = cast("CoachHub", websocket.app.state.coach)
+    identity, authenticator = caller(websocket).identity, access(websocket).authenticator
+    with hub.connect(lambda: authenticator.is_valid(identity)) as client:
+        await websocket.accept()
+        if client is None:
+            await websocket.close(CLOSE_CODES["full"], "full")
+            return
+        await _serve(hub, client, SocketConnection(websocket, SHAPE))
+
+
+async def _serve(hub: CoachHub, client: CoachClient, connection: SocketConnection) -> None:
+    """Serve one client until it disconnects or is disconnected."""
+    with client.scope:
+        async with anyio.create_task_group() as tasks:
+
+            async def listen() -> None:
+                client.end("gone" if await connection.listen() else "chatty")
+
+            tasks.start_soon(listen)
+            with contextlib.suppress(WebSocketDisconnect, OSError):
+                await _send(hub, client, connection, CoachHello())
+                while True:
+                    await _send(hub, client, connection, hub.message(await client.take()))
+            client.end("gone")
+    if client.why != "gone":
+        await connection.close(client.why)
+
+
+async def _send(hub: CoachHub, client: CoachClient, connection: SocketConnection, message: CoachMessage) -> None:
+    client.busy_since_s = hub.now_s()
+    await connection.send(message.model_dump_json())
+    client.busy_since_s = None

@@ -15,11 +15,10 @@ import anyio
 
 from service.core.schemas.live_messages import Alarms, Idle, Ping, Sample
 from service.engine_host.roles import LiveFeed, LiveFrame
-from service.sessions.alarms.board import AlarmBoard
-from service.sessions.alarms.views import live_alarm_event, live_alarms
+from service.sessions.alarms.board import AlarmBoard, live_alarm_event, live_alarms
 from service.web.stream.client_slot import ClientSlot
-from service.web.stream.counts import CloseReason, StreamCounts, StreamReading
 from service.web.stream.encoding import Frame, MessageEncoder, Plain, Shape, StreamClock
+from service.web.stream.metrics import CloseReason, StreamCounts, StreamReading
 
 logger = logging.getLogger(__name__)
 

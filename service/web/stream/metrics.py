@@ -1,13 +1,58 @@
-"""Metrics of the live stream."""
+"""Counters of the live stream, and the metrics made from them."""
 
-from collections.abc import Callable, Iterator
-from typing import get_args
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.web.stream.counts import CLOSE_REASONS, StreamReading
-from service.web.stream.query import Encoding, Form, Transport
+from service.web.stream.encoding import Encoding, Form, Transport
+
+CloseReason = Literal["gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving"]
+"""Why a client's connection ended; ``full``: it was refused. Values are sent to clients and used as metric labels."""
+CLOSE_REASONS: tuple[CloseReason, ...] = ("gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamReading:
+    """Connected clients, and totals since the start.
+
+    Attributes
+    ----------
+    clients
+        Connected clients by transport, form and encoding.
+    sent
+        Messages sent to all clients.
+    skipped
+        Samples dropped because a client was too slow.
+    closed
+        Ended connections by reason.
+    encoded
+        Encoded messages: one per shape, shared by all clients of that shape.
+    """
+
+    clients: Mapping[tuple[str, str, str], int]
+    sent: int
+    skipped: int
+    closed: Mapping[str, int]
+    encoded: int
+
+    @property
+    def refused(self) -> int:
+        """Clients refused because the stream was full."""
+        return self.closed.get("full", 0)
+
+
+@dataclass(slots=True)
+class StreamCounts:
+    """Counters; used by the event loop only."""
+
+    sent: int = 0
+    skipped: int = 0
+    closed: Counter[CloseReason] = field(default_factory=Counter)
+
 
 KINDS = tuple(
     (transport, form.value, encoding.value)

@@ -15,14 +15,13 @@ import pyarrow as pa
 
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.gate_state import HoldReason
-from service.core.finite import rounded_or_none
-from service.core.hold_texts import hold_text
+from service.core.alarm_table import hold_text
+from service.core.schemas.base import rounded_or_none
 from service.core.schemas.live_messages import Gap, RecordedSample, Resumed
 from service.storage.samples.layout import SampleHead
 from service.storage.samples.tail import NothingRecordedError, Row, SampleTails
-from service.web.stream.encoding import Frame, Shape, encode
+from service.web.stream.encoding import EventsQuery, Frame, Shape, encode
 from service.web.stream.feed import Feed, Resume
-from service.web.stream.query import EventsQuery
 
 # Recorded samples that a client missed, encoded in a worker thread instead of the event loop.
 

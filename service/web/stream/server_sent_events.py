@@ -11,10 +11,9 @@ from service.engine_host.roles import LiveFeed
 from service.web.api import problems
 from service.web.dependencies import access, caller, services
 from service.web.problems.table import problem_of, problem_response
-from service.web.stream.encoding import Shape
+from service.web.stream.encoding import Encoding, EventsQuery, Shape
 from service.web.stream.feed import Resume, hello_of, serve
 from service.web.stream.hub import LiveHub, MayWatch
-from service.web.stream.query import Encoding, EventsQuery
 from service.web.stream.resume import Resumption
 from service.web.stream.transports import EventsConnection
 

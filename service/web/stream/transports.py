@@ -10,9 +10,8 @@ import anyio
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.web.stream.counts import CloseReason
-from service.web.stream.encoding import Shape
-from service.web.stream.query import Encoding, Form
+from service.web.stream.encoding import Encoding, Form, Shape
+from service.web.stream.metrics import CloseReason
 
 # Small send buffers for live connections, so that a slow client gets the newest message and no backlog.
 #

@@ -9,10 +9,9 @@ from starlette.datastructures import QueryParams
 
 from service.web.dependencies import access, caller, require_guarded, services
 from service.web.problems.table import problem_of, problem_response
-from service.web.stream.encoding import Shape
+from service.web.stream.encoding import LiveQuery, Shape
 from service.web.stream.feed import hello_of, serve
 from service.web.stream.hub import LiveHub
-from service.web.stream.query import LiveQuery
 from service.web.stream.resume import Resumption
 from service.web.stream.transports import CLOSE_CODES, POLICY_VIOLATION, SocketConnection
 

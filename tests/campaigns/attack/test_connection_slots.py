@@ -12,7 +12,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.access.request.identity import STATE
-from service.core.settings.connection_limits import ConnectionLimits
+from service.core.settings.groups import ConnectionLimits
 from service.web.server import make_server
 from tests.campaigns.attack.raw_connections import connection, read_all
 from tests.support.service.processes import free_port

@@ -8,7 +8,7 @@ import httpx2
 import pytest
 from fastapi import FastAPI, WebSocket
 
-from service.core.settings.connection_limits import ConnectionLimits
+from service.core.settings.groups import ConnectionLimits
 from service.monitoring.certificate import ServedCertificate
 from service.web.server import make_server
 from tests.campaigns.attack.raw_connections import connection, read_all

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.campaigns.department.__main__ import DOCUMENT, main, table
-from tests.campaigns.department.costs import Cost
-from tests.campaigns.department.costs import table as cost_table
+from tests.campaigns.department.costs import Cost, table as cost_table
 from tests.campaigns.department.events import Outcome, RoomMeanwhile
 from tests.campaigns.department.hub import total
 from tests.support.generated_sections import part_of

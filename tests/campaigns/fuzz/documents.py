@@ -6,12 +6,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from engine.calibration.formats.convert import read_upload
+from engine.calibration.formats.conversion import read_upload
 from engine.calibration.laser_plane import LaserPlaneError, load_plane
 from engine.core.errors import CalibrationError, InvalidValueError, RecordingError
 from engine.core.strict_json import StrictJson
 from engine.lab.evaluation.instruments.flow_file import FlowFileError, read_flow
-from engine.motion.named_region_file import load_regions
+from engine.motion.named_regions import load_regions
 from engine.qa.recorded_traces import read_trace
 from engine.qa.trace import read_commanded
 from tests.campaigns.fuzz.target import Target, as_file
@@ -143,7 +143,7 @@ TARGETS = (
     ),
     Target(
         name="regions",
-        reads="named regions (`engine.motion.named_region_file`)",
+        reads="named regions (`engine.motion.named_regions`)",
         read=read_regions,
         refusals=(InvalidValueError,),
         seeds=regions,

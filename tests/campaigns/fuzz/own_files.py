@@ -31,8 +31,7 @@ from engine.motion.learning.model_file import ARRAYS, header_text, load_model
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.header import Frames, TapeHeader, read_head, this_software
-from engine.offline.replay.readings import OtherReadingError
-from engine.offline.replay.tape_file import TapeFile, read_tape
+from engine.offline.replay.tape_file import OtherReadingError, TapeFile, read_tape
 from service.storage.backup.archive import opened
 from service.storage.backup.layout import BackupError
 from service.storage.samples.walk import NoSamplesError, StreamWalk

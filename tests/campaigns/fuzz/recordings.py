@@ -4,9 +4,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from engine.capture.oni.codec import decode_jpeg, encode_16zt, encode_jpeg
+from engine.capture.oni.codec import decode_16zt, decode_jpeg, encode_16zt, encode_jpeg
 from engine.capture.oni.reader import OniReader, describe
-from engine.capture.oni.unpacking import decode_16zt
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import ManualClock
 from engine.core.errors import RecordingError, SourceEndedError
@@ -77,7 +76,7 @@ TARGETS = (
     ),
     Target(
         name="depth_picture",
-        reads="one `16zT` depth picture (`engine.capture.oni.unpacking`)",
+        reads="one `16zT` depth picture (`engine.capture.oni.codec`)",
         read=read_depth,
         refusals=(RecordingError,),
         seeds=depths,

@@ -11,7 +11,7 @@ from engine.core.commands import HoldBeam, ReleaseBeam
 from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.frames import LostReason, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.gating.supervision.supervisor import NS_PER_MIN
 from tests.campaigns.interlocks.live_camera import Mischief, wait_ns
 from tests.campaigns.interlocks.live_run import LIMITS, TRANSITIONS_KEPT, LiveRun, Trip

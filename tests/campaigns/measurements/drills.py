@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.table import Table
 
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.line import BeamLine
-from engine.beam.second_input import DrilledReceiver
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_S, MonotonicClock
 from engine.qa.drill import DRILLS, drill_line

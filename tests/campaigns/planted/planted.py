@@ -50,7 +50,7 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="an inspiration hold may lie in free breathing",
-        file="engine/gating/duty_cycle.py",
+        file="engine/gating/active_window.py",
         old="INSPIRATION_FROM, EXPIRATION_TO = 60.0, 40.0",
         new="INSPIRATION_FROM, EXPIRATION_TO = 0.0, 100.0",
         test="tests/engine/gating/test_duty_cycle.py::test_a_breath_hold_whose_level_free_breathing_reaches_is_refused",
@@ -182,7 +182,7 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="clinical mode opens a camera that cannot be compared",
-        file="service/engine_host/site_rules/camera_serial.py",
+        file="service/engine_host/site_rules/calibrations.py",
         old="if warning is not None:\n        raise",
         new='if warning is not None and warning.code == "camera_mismatch":\n        raise',
         test="tests/service/engine_host/site_rules/test_camera_serial.py::"

@@ -3,8 +3,7 @@
 import threading
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from engine.beam.deadman import MAX_LEASE_NS, DeadMan, Grant
 from engine.beam.simulated import BeamEdge, SimulatedBeamLine

@@ -3,9 +3,18 @@
 import pytest
 
 from engine.beam.commissioning import Pulser
-from engine.beam.heartbeat_drill import MARGIN_MS, WAITED_NS, HeartbeatDrill, NotVerifiableError, check_verifiable
+from engine.beam.heartbeat_drill import (
+    MARGIN_MS,
+    NOT_VERIFIABLE,
+    RECEIVER_DROP_MS,
+    WAITED_NS,
+    DrilledReceiver,
+    HeartbeatDrill,
+    NotVerifiableError,
+    OwnInput,
+    check_verifiable,
+)
 from engine.beam.paired import PairedBeamLine
-from engine.beam.second_input import NOT_VERIFIABLE, RECEIVER_DROP_MS, DrilledReceiver, OwnInput
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.beam.wire.supervised_line import STILL_NS
 from engine.core.clock import NS_PER_MS, ManualClock

@@ -3,8 +3,16 @@
 import pytest
 
 from engine.beam.commissioning import POLL_NS, Pulser
-from engine.beam.heartbeat_drill import MARGIN_MS, STOPPED_NS, WAITED_NS, WATCHED_NS, HeartbeatDrill
-from engine.beam.second_input import LEAST_REPEATS, RECEIVER_DROP_MS, DrilledReceiver
+from engine.beam.heartbeat_drill import (
+    LEAST_REPEATS,
+    MARGIN_MS,
+    RECEIVER_DROP_MS,
+    STOPPED_NS,
+    WAITED_NS,
+    WATCHED_NS,
+    DrilledReceiver,
+    HeartbeatDrill,
+)
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_MS, ManualClock
 from engine.core.errors import BeamLineError

@@ -5,8 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from engine.calibration.camera_calibration import Calibration, load_calibration, parse_calibration
 from engine.core.errors import CalibrationError

@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from engine.calibration.camera_view import PERIOD_NS, WARM_UP_S, CameraViewMeter, camera_view
-from engine.core.camera_view import CameraAdvice
 from engine.core.frames import RgbdFrame
 from engine.core.geometry import Intrinsics
+from engine.core.position_check import CameraAdvice
 
 DEPTH = Intrinsics(width=640, height=480, fx=570.0, fy=570.0, cx=319.5, cy=239.5)
 GREY = np.full((480, 640, 3), 120, np.uint8)

@@ -5,7 +5,7 @@ import pytest
 
 from engine.calibration.camera_calibration import DepthCorrection
 from engine.calibration.quantisation import MAX_CORRECTION_MM, count_readings, depth_table_mm, find_steps
-from engine.motion.tracking.depth_table import COUNTED_FRAMES, DepthTable
+from engine.motion.tracking.region_tracker import COUNTED_FRAMES, DepthTable
 
 STEP_PER_MM = 2.92e-6
 Y, X = np.mgrid[0:480, 0:640]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from engine.capture.checked_source import CheckedSource
+from engine.capture.reconnecting import CheckedSource
 from engine.core.errors import CameraMismatchError, SourceAwayError, SourceLostError
 from tests.support.capture.unplugged_camera import OURS, Room
 

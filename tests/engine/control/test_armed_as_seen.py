@@ -6,8 +6,8 @@ import pytest
 
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, SetReference
 from engine.core.errors import CommandRefusedError
-from engine.core.head_direction import HeadDirection
-from engine.gating.window_change import SetWindow
+from engine.core.signals import HeadDirection
+from engine.gating.active_window import SetWindow
 from engine.gating.windows import amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

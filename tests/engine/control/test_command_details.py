@@ -10,8 +10,8 @@ from engine.control.session_limits import SessionLimits
 from engine.core.commands import ActivateModel, ApplyModel, CorrectBaseline, HoldBeam, SetReference
 from engine.core.errors import FrameTimeoutError
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.active_window import SetWindow
 from engine.gating.interlocks import WATCHDOG_DETAIL
-from engine.gating.window_change import SetWindow
 from engine.gating.windows import AmplitudeWindow
 from tests.support.control.armed_bench import ARM, armed_bench, on_bench
 from tests.support.control.loop_bench import DESCRIPTION, Bench, after, good

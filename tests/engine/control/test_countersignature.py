@@ -5,11 +5,11 @@ from functools import partial
 
 import pytest
 
-from engine.control.countersignature import CountersignatureState
+from engine.control.arming_outlook import CountersignatureState
 from engine.core.breath import WHOLE
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, Countersign, Disarm, SetReference
 from engine.core.errors import CountersignatureError, ReasonMissingError
-from engine.gating.window_change import SetWindow
+from engine.gating.active_window import SetWindow
 from engine.gating.windows import amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

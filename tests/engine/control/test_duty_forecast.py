@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from engine.control.duty_forecast import DutyForecast
+from engine.control.arming_outlook import DutyForecast
 from engine.control.session_limits import SessionLimits
 from engine.core.breath import WHOLE
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, CorrectBaseline
-from engine.core.ranges import LearnedRange
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
 from tests.support.control.loop_bench import Bench, RecordingPipeline, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

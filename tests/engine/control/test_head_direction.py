@@ -7,7 +7,7 @@ import pytest
 from engine.core.commands import Arm
 from engine.core.errors import HeadDirectionError
 from engine.core.gate_state import GateState
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.gating.windows import amplitude_window
 from tests.support.control.armed_bench import LEARNED
 from tests.support.control.loop_bench import Bench, after, good

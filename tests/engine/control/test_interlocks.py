@@ -7,7 +7,7 @@ import pytest
 from engine.core.commands import Acknowledge, Arm, SetReference
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from tests.support.control.armed_bench import ARM, LEARNED, ON, lying_at, on_bench
 from tests.support.control.loop_bench import DEPTH, DESCRIPTION, Bench, after, good
 from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, MEASURING_NS, MS, PERIOD_NS, motion_of

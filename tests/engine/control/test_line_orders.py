@@ -3,7 +3,7 @@
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
-from engine.control.line_orders import LineOrders
+from engine.control.beam_driver import LineOrders
 from engine.core.clock import ManualClock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason, Lease

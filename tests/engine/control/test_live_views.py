@@ -7,11 +7,11 @@ import numpy as np
 
 from engine.beam.beam_on import BeamOnState
 from engine.control.live_views import BACK_DETAIL
-from engine.core.camera_view import CameraView
 from engine.core.commands import Acknowledge, Disarm
 from engine.core.errors import SourceAwayError
 from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.position_check import CameraView
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.windows import BreathHoldWindow
 from tests.support.control.armed_bench import ARM, LEARNED, armed_bench, lying_at

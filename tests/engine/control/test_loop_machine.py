@@ -13,8 +13,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import pytest
-from hypothesis import HealthCheck, event, settings, target
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, event, settings, strategies as st, target
 from hypothesis.stateful import (
     RuleBasedStateMachine,
     initialize,
@@ -24,7 +23,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from engine.control.commands import Command
+from engine.control.command_queue import Command
 from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import BeamLineError, TidegateError
 from engine.core.frames import LostReason, Measurement, MeasurementState

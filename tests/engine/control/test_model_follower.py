@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from engine.control.model_follower import ModelFollower
+from engine.control.command_handler import ModelFollower
 
 
 class Learned:

@@ -6,7 +6,7 @@ from engine.control.output_queues import NOTICE_CAPACITY
 from engine.core.commands import ApplyModel, Disarm, Retrain
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from tests.support.control.armed_bench import LEARNED, ON_AT, armed_bench
 from tests.support.control.loop_bench import Bench, after, drained, good
 

@@ -9,7 +9,7 @@ from engine.core.breath import SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import CommandRefusedError, InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.ranges import LearnedRange
+from engine.core.signals import LearnedRange
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, PhaseWindow
 from service.core.settings.settings import Settings

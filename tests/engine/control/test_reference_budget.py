@@ -7,8 +7,8 @@ import pytest
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, SetReference
 from engine.core.errors import CommandRefusedError, ReferenceDistanceError
-from engine.core.ranges import LearnedRange
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.core.reference import ReferenceDistance, SignalLevel
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

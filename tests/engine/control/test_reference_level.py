@@ -9,8 +9,8 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import SetReference
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import LostReason, MeasurementState
-from engine.core.ranges import LearnedRange
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from engine.core.reference import ReferenceMoment, ReferenceProposal
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS, unmeasured

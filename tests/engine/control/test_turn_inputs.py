@@ -8,12 +8,11 @@ from unittest.mock import ANY
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
+from engine.control.beam_driver import LineOrders
 from engine.control.command_queue import CommandQueue
-from engine.control.line_orders import LineOrders
 from engine.control.output_queues import OutputQueues
 from engine.control.session_limits import SessionLimits
-from engine.control.turn_inputs import CommandInputs
-from engine.control.turn_reader import TurnReader
+from engine.control.turn_reader import CommandInputs, TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam
@@ -23,8 +22,15 @@ from engine.gating.gate import Gate, Interruption, lease_of
 from engine.gating.interlocks import DecisionInputs
 from engine.gating.supervision.operator_presence import MOST_PERSONS, OperatorPresence
 from tests.support.control.armed_bench import ON, ON_AT, on_bench
-from tests.support.control.loop_bench import ScriptedSource, SteppedWatchdog, WatchedBeamLine, drained, good, silent
-from tests.support.control.loop_bench import raising as raising_step
+from tests.support.control.loop_bench import (
+    ScriptedSource,
+    SteppedWatchdog,
+    WatchedBeamLine,
+    drained,
+    good,
+    raising as raising_step,
+    silent,
+)
 from tests.support.gating.streams import LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, stream_in
 
 

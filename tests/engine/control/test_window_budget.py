@@ -5,16 +5,15 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from engine.control.reference_budget import NO_REASON, NOT_ALLOWED, placed_window, reach_beyond_mm
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, SetReference
 from engine.core.errors import ReferenceDistanceError
-from engine.core.ranges import LearnedRange
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
-from engine.gating.window_change import SetWindow
+from engine.core.reference import ReferenceDistance, SignalLevel
+from engine.core.signals import LearnedRange
+from engine.gating.active_window import SetWindow
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

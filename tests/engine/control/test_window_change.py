@@ -8,8 +8,8 @@ from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, SetReference
 from engine.core.errors import CommandRefusedError, InvalidValueError
 from engine.core.gate_state import GateState
-from engine.core.ranges import LearnedRange
-from engine.gating.window_change import SetWindow, checked_change
+from engine.core.signals import LearnedRange
+from engine.gating.active_window import SetWindow, checked_change
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS

@@ -7,12 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.core import compiled
 from engine.core.errors import InvalidValueError
-from engine.core.least_squares import least_squares
+from engine.core.geometry import least_squares
 
 
 def test_it_is_built_where_there_is_a_compiler():

@@ -7,7 +7,7 @@ import pytest
 
 from engine.core.gate_state import INTERLOCKS, AlarmGroup, Guidance, HoldReason
 from engine.gating.limits import LIMIT_BOUNDS, GateLimits
-from service.core.hold_texts import HOLD_TEXTS
+from service.core.alarm_table import HOLD_TEXTS
 from service.core.settings.settings import Settings
 
 CLEARS_BY_ITSELF = [

@@ -5,7 +5,7 @@ import sys
 PROGRAM = """
 import resource, sys
 import numpy as np
-from engine.core.native_memory import keep_freed_memory
+from engine.core.native_process import keep_freed_memory
 if sys.argv[1] == "kept":
     keep_freed_memory()
 def frame():
@@ -30,7 +30,7 @@ def test_frames_that_follow_use_the_memory_of_those_before():
 
 GIVING_BACK = """
 import numpy as np
-from engine.core.native_memory import give_freed_memory_back, keep_freed_memory
+from engine.core.native_process import give_freed_memory_back, keep_freed_memory
 def resident_mb():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
 keep_freed_memory()

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from engine.core.breath import WHOLE, SignalChoice
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.core.reference import ReferenceDistance, SignalLevel
 
 VOLUME, ABDOMEN = SignalChoice(signal="volume"), SignalChoice(signal="abdomen")
 

@@ -9,12 +9,10 @@ from dataclasses import replace
 from itertools import accumulate
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from engine.core.gate_state import HoldReason
-from engine.gating.clock_rate import MAX_RATE_ERROR_PPM, ClockRate, followed_rate
-from engine.gating.delivery import FRESH_NS, MAX_UNSEEN_MS
+from engine.gating.delivery import FRESH_NS, MAX_RATE_ERROR_PPM, MAX_UNSEEN_MS, ClockRate, followed_rate
 from engine.gating.frame_checks import check_frame, last_frame
 from tests.support.gating.ageing import SPARSE, STEP_NS, S, watched
 from tests.support.gating.streams import LIMITS, MS, measured

@@ -7,8 +7,8 @@ import pytest
 
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import CommandRefusedError, InvalidValueError
-from engine.core.ranges import ranges_of
-from engine.gating.duty_cycle import duty_percent, is_predicted, refuse_hold_in_free_breath, refuse_never_left
+from engine.core.signals import ranges_of
+from engine.gating.active_window import duty_percent, is_predicted, refuse_hold_in_free_breath, refuse_never_left
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
     AmplitudeWindow,

@@ -9,8 +9,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import pytest
-from hypothesis import HealthCheck, event, settings, target
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, event, settings, strategies as st, target
 from hypothesis.stateful import (
     RuleBasedStateMachine,
     initialize,

@@ -8,7 +8,7 @@ import pytest
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.commands import Arm
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.head_direction import HeadDirection, depends_on_head
+from engine.core.signals import HeadDirection, depends_on_head
 from engine.gating.windows import AmplitudeWindow, GateWindow, Join, JoinedWindow, PhaseWindow, Unit
 from tests.support.gating.streams import LIMITS, Stream, measured, motion_of, stream_in
 

@@ -7,8 +7,7 @@ property also says when the beam *must* be on, so that a gate that never permits
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.core.commands import Acknowledge, Arm, Disarm
 from engine.core.frames import MeasurementState

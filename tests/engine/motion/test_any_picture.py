@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.calibration.quantisation import DEPTH_VALUES, depth_table_mm, find_steps
 from engine.core.clock import ManualClock
@@ -15,7 +14,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.roi import cut_out, roi_nodes
-from engine.motion.tracking.depth_table import COUNTED_FRAMES
+from engine.motion.tracking.region_tracker import COUNTED_FRAMES
 from tests.support.motion import arbitrary_pictures, small_scene
 
 pytestmark = pytest.mark.slow

@@ -9,8 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from engine.calibration.quantisation import depth_table_mm
 from engine.core import compiled
@@ -20,19 +19,17 @@ from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, change
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.learning.past_frames import mean_depth_mm
 from engine.motion.learning.prepared_model import prepare_model
 from engine.motion.learning.seen_shares import prepare_seen_weights
-from engine.motion.learning.still_stretch import mean_depth_mm
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
 from engine.motion.stages.phase_lag import _correlations
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
 from engine.motion.stages.regions import RegionLayout
-from engine.motion.stages.registration import align
-from engine.motion.stages.roi import cut_out, roi_nodes
+from engine.motion.stages.roi import align, cut_out, roi_nodes
 from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
-from engine.motion.tracking.marker_layout import marker_points_mm
-from engine.motion.tracking.surface_continuity import _largest_difference
+from engine.motion.tracking.surface_continuity import _largest_difference, marker_points_mm
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import LostReason, MeasurementState
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, new_pipeline
 

@@ -1,4 +1,4 @@
-"""A pipeline keeps native calls in the thread that makes them: see engine/core/native_threads.py."""
+"""A pipeline keeps native calls in the thread that makes them: see engine/core/native_process.py."""
 
 from collections.abc import Iterator
 

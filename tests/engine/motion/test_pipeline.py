@@ -12,7 +12,7 @@ from engine.core.frames import LostReason, MeasurementState
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
-from engine.motion.tracking.depth_table import COUNTED_FRAMES
+from engine.motion.tracking.region_tracker import COUNTED_FRAMES
 from tests.support.motion import small_scene
 
 pytestmark = pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import MeasurementState
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, measuring, new_pipeline
 

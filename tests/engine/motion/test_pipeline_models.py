@@ -14,7 +14,7 @@ from engine.core.clock import ManualClock, MonotonicClock
 from engine.core.commands import Retrain
 from engine.core.errors import SourceEndedError
 from engine.core.frames import LostReason, MeasurementState, RoiDepth
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.motion.cross_check import cell_surface

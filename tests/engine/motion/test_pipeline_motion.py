@@ -12,9 +12,9 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.named_regions import NamedRegion
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
-from engine.motion.stages.extra_markers import find_split
 from engine.motion.stages.roi import color_from_roi
 from engine.motion.stages.surface import surface_mesh
+from engine.motion.tracking.costal_line import find_split
 from tests.support.motion import small_scene
 
 pytestmark = pytest.mark.slow

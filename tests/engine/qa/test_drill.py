@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.paired import PairedBeamLine
-from engine.beam.second_input import DrilledReceiver
 from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_S, MonotonicClock
 from engine.core.errors import InvalidValueError

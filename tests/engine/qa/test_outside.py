@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.qa.outside import longest_outside_s
+from engine.qa.motion import longest_outside_s
 from engine.qa.trace import CommandedTrace
 
 PERIOD_S = 4.0

@@ -9,7 +9,7 @@ from engine.capture.source import SourceDescription
 from engine.core.errors import InvalidValueError
 from engine.core.frames import MeasurementState
 from engine.lab.virtual_qa import AMPLITUDE_MM, PERIODS_S, virtual_phantom
-from engine.offline.gate_edges import Edge
+from engine.offline.offline_gate import Edge
 from engine.qa.checks import check_of
 from engine.qa.phantom import (
     GATE_CODES,

@@ -8,8 +8,8 @@ import pytest
 
 from service.access.accounts.people import AccountService
 from service.access.accounts.store import AccessStore
+from service.access.login.lockout import RefusedLogins
 from service.access.login.logins import LoginService
-from service.access.login.refusals import RefusedLogins
 from service.access.screens.screens import ScreenService
 from service.core.settings.settings import Settings
 from service.storage.database.engine import Database

@@ -72,6 +72,6 @@ def test_what_takes_the_beam_away_is_not_refused_over_a_name(silent, person, act
 def test_what_one_call_says_of_its_principal_no_other_call_has(silent, machine):
     upload(silent, machine, "C. Nurse")
     silent.desk.store.write(event=Event(actor="test", action="test.test"))
-    from service.storage.audit import on_behalf
+    from service.storage.audit import chain
 
-    assert on_behalf.audit_fields() == {}
+    assert chain.audit_fields() == {}

@@ -6,8 +6,7 @@ from datetime import timedelta
 import pytest
 from starlette.datastructures import Headers
 
-from service.access.accounts.first_admin import make_first_admin
-from service.access.accounts.people import Change
+from service.access.accounts.people import Change, make_first_admin
 from service.access.login.cookies import CookieScope
 from service.access.login.keys import KeyService
 from service.access.request.authenticator import Authenticator

@@ -4,7 +4,7 @@ import pytest
 
 from service.access.accounts.passwords import Argon2Hashing
 from service.access.accounts.store import AccessStore
-from service.cli.demo.person import put_person
+from service.cli.demo.command import put_person
 from service.core.permissions import Permission, permissions_of
 from service.storage.database.engine import Database
 from service.storage.files.folder_lock import FolderInUseError, alone_in

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.named_region_file import load_regions, parse_region
+from engine.motion.named_regions import load_regions, parse_region
 from engine.motion.stages.phase_lag import find_lag
 from service.cli import app
 from service.cli.measure import command as measure_command

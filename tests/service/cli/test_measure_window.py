@@ -4,7 +4,7 @@ import pytest
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError, RecordingError
-from engine.gating.session_defaults import HYSTERESIS
+from engine.gating.limits import HYSTERESIS
 from engine.gating.windows import AmplitudeWindow, Unit
 from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings

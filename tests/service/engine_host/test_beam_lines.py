@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from engine.beam.compared_line import ComparedBeamLine
+from engine.beam.heartbeat_drill import OwnInput
 from engine.beam.paired import PairedBeamLine
-from engine.beam.second_input import OwnInput
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.beam.status.published_line import PublishedBeamLine
 from engine.beam.wire.modbus import ModbusInput

@@ -9,16 +9,16 @@ import tty
 import pytest
 
 from service.core.settings.settings import Settings
-from service.engine_host import targets
+from service.engine_host import beam_lines
+from service.engine_host.beam_lines import TargetInUseError, alone_at_targets, targets_of
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.targets import TargetInUseError, alone_at_targets, targets_of
 from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.site_settings import with_config
 
 HOLDER = """
 import os, sys
 from service.core.settings.settings import Settings
-from service.engine_host.targets import alone_at_targets
+from service.engine_host.beam_lines import alone_at_targets
 with alone_at_targets(Settings()):
     print("held", flush=True)
     sys.stdin.read()
@@ -63,7 +63,7 @@ def test_a_name_that_cannot_be_resolved_is_a_target_as_it_is_written(monkeypatch
     def fails(*_arguments, **_options):
         raise socket.gaierror
 
-    monkeypatch.setattr(targets.socket, "getaddrinfo", fails)
+    monkeypatch.setattr(beam_lines.socket, "getaddrinfo", fails)
     with alone_at_targets(modbus(beam_modbus_host="PLC.example")):
         assert is_refused(modbus(beam_modbus_host="plc.example."))
         assert not is_refused(modbus(beam_modbus_host="plc2.example"))

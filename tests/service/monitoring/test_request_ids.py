@@ -7,7 +7,7 @@ from contextvars import copy_context
 import pytest
 from starlette.testclient import WebSocketDenialResponse
 
-from service.core.logging.request_ids import begin_request, current_request_id, current_session_id, request_id_of
+from service.core.current_request import begin_request, current_request_id, current_session_id, request_id_of
 
 MADE = re.compile(r"[0-9a-f]{32}")
 SESSION = "0123456789abcdef" * 2

@@ -10,7 +10,7 @@ import pytest
 from engine.core.clock import NS_PER_S
 from service.core.errors import QaCodeError
 from service.qa.one_time_code import MAX_TRIES, VALID_S, OneTimeCodes
-from service.storage.time_anchor import TimeAnchor
+from service.storage.database.base import TimeAnchor
 
 ME = "A. Physicist"
 

@@ -9,8 +9,8 @@ from engine.core.errors import InvalidValueError, SourceLostError
 from engine.qa.results import QaKind
 from service.cli.qa.simulated import SimulatingRig
 from service.core.settings.settings import Settings
+from service.qa.jobs import QaFiles
 from service.qa.rig import EngineRig
-from service.qa.roles import QaFiles
 from service.qa.schemas import QaRunRequest
 from service.web.app import create_app
 from tests.support.capture.fake_driver import FakeDriver, use

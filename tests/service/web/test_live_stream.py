@@ -17,7 +17,7 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.gating.supervision.checks import Check, CheckState
 from engine.gating.supervision.patient_shift import Movement
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldStage
-from service.core.hold_texts import HOLD_TEXTS, hold_text
+from service.core.alarm_table import HOLD_TEXTS, hold_text
 from service.core.schemas.live_messages import (
     LIVE_MESSAGE,
     LiveBreath,

@@ -10,8 +10,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+from engine.beam.heartbeat_drill import DrilledReceiver, OwnInput, SecondInput
 from engine.beam.line import BeamLine
-from engine.beam.second_input import DrilledReceiver, OwnInput, SecondInput
 from engine.beam.wire.line_supervisor import LineTimes
 from engine.beam.wire.modbus import ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
 from engine.beam.wire.serial_relay import RelayWire

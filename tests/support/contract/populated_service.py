@@ -21,12 +21,12 @@ from engine.core.breath import Breath
 from engine.qa.results import QaKind
 from service.access.accounts.passwords import PasswordService
 from service.access.accounts.people import AccountService
+from service.access.login.lockout import RefusedLogins
 from service.access.login.logins import LoginService
-from service.access.login.refusals import RefusedLogins
 from service.access.service import AccessService
 from service.core.permissions import KEY_PERMISSIONS, Role
 from service.core.settings.settings import Settings
-from service.sessions.views.surface import NODE_COLUMNS, NODE_ROWS
+from service.sessions.views.live import NODE_COLUMNS, NODE_ROWS
 from service.web.app import create_app
 from service.web.dependencies import Services
 from tests.support.planning.dicom_plans import photon_plan, written

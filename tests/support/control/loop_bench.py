@@ -10,9 +10,8 @@ import numpy as np
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.source import SourceDescription
-from engine.control.beam_driver import BeamDriver
-from engine.control.commands import Command
-from engine.control.line_orders import LineOrders
+from engine.control.beam_driver import BeamDriver, LineOrders
+from engine.control.command_queue import Command
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.control.watchdog import Watchdog
@@ -21,13 +20,11 @@ from engine.core.clock import Clock, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError
 from engine.core.frames import FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import HoldReason, Lease
-from engine.core.learning_events import LearningEvent
-from engine.core.learning_status import LearningStatus
+from engine.core.learning_status import LearningEvent, LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.position_check import PositionCheck
-from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
-from engine.core.reference_distance import ReferenceDistance
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from engine.core.reference import ReferenceDistance, ReferenceMoment, ReferenceProposal
+from engine.core.signals import LearnedLevels, LearnedRange, Ranges
 from engine.gating.gate import GateLimits
 from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from tests.support.gating.streams import LEVEL_MM, LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured

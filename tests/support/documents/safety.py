@@ -7,7 +7,7 @@ from functools import partial
 
 from engine.core.gate_state import INTERLOCKS, GateState, HoldReason
 from engine.gating.gate import EventKind, next_state
-from service.core.hold_texts import HOLD_TEXTS
+from service.core.alarm_table import HOLD_TEXTS
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 from tests.support.generated_sections import print_or_write

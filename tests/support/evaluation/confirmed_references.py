@@ -22,7 +22,7 @@ from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.commands import SetReference
 from engine.core.errors import SourceEndedError
 from engine.core.frames import FloatArray, RgbdFrame
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from engine.core.reference import ReferenceMoment, ReferenceProposal
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.lab.phantom.truth import Truth, load_truth

@@ -11,7 +11,7 @@ import numpy as np
 
 from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, NODE_STEP, ROI_COLUMNS, ROI_ROWS, FloatArray, RgbdFrame
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
 from engine.lab.phantom.anatomy import MODES, Anatomy
 from engine.lab.phantom.falsifications import Falsification, Move
 from engine.lab.phantom.rig import build_rig, couch_from_body

@@ -7,7 +7,7 @@ import numpy as np
 from engine.core.commands import Acknowledge, Arm
 from engine.core.frames import Evidence, Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window

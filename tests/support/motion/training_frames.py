@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.native_process import keep_calls_in_their_thread
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.lifecycle import LearningSetup
 from engine.motion.learning.patient_match import PatientMatchLimits

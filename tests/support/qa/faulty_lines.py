@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from engine.beam.second_input import DrilledReceiver
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import BeamLineError

@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.core.frames import Lost, LostReason, MeasurementState
 from engine.lab.virtual_qa import FIRST_US, FPS
-from engine.offline.gate_edges import TimedFrame
+from engine.offline.offline_gate import TimedFrame
 from tests.support.gating.streams import measured, motion_of
 
 ZERO_S = 15.0

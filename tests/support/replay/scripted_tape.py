@@ -9,8 +9,7 @@ from engine.core.clock import ManualClock
 from engine.core.input_tap import InputTap, TappedClock
 from engine.gating.limits import GateLimits
 from engine.offline.replay.comparison import BIT_FOR_BIT, Comparison
-from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.inputs import FrameHead
+from engine.offline.replay.encoding import FrameHead, TapeEncoding
 from engine.offline.replay.recording_tap import RecordingTap
 from engine.offline.replay.replaying_tap import ReplayEnded, ReplayingTap
 from engine.offline.replay.tape_file import TapeFile, read_tape

@@ -14,13 +14,12 @@ from typing import Any
 
 from fastapi.testclient import TestClient
 
-from service.access.accounts.names import name_key
-from service.access.accounts.records import User
+from service.access.accounts.records import User, name_key
 from service.access.accounts.store import AccessStore
 from service.access.login.cookies import CookieScope, cookie_name
 from service.access.login.keys import KeyService
+from service.access.login.lockout import RefusedLogins
 from service.access.login.logins import LoginService, OpenedLogin
-from service.access.login.refusals import RefusedLogins
 from service.access.request.rules import RuleTable
 from service.access.service import AccessService
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.capture.source import SourceDescription
-from engine.control.commands import Command
+from engine.control.command_queue import Command
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView
 from engine.core.commands import Acknowledge, Disarm
 from engine.core.frames import MeasurementState, TrainingProgress

@@ -11,9 +11,9 @@ import numpy as np
 from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
-from engine.control.commands import Command
-from engine.control.countersignature import CountersignatureState
-from engine.control.engine_status import EngineStatus
+from engine.control.arming_outlook import CountersignatureState
+from engine.control.command_queue import Command
+from engine.control.live_views import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
 from engine.core.breath import Breath
 from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
@@ -29,13 +29,11 @@ from engine.core.frames import (
     TrainingProgress,
 )
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.learning_events import LearningEvent
-from engine.core.learning_status import LearningStatus
+from engine.core.learning_status import LearningEvent, LearningStatus, PatientMatch
 from engine.core.motion_model import MotionModel
-from engine.core.patient_match import PatientMatch
-from engine.core.ranges import Ranges
+from engine.core.signals import Ranges
+from engine.gating.active_window import SetWindow
 from engine.gating.supervision.checks import CheckState
-from engine.gating.window_change import SetWindow
 from engine.gating.windows import ConditionState, GateWindow, amplitude_window
 from service.core.schemas import sessions
 from service.engine_host.roles import SessionPlan

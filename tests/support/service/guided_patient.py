@@ -3,11 +3,11 @@
 from dataclasses import replace
 from typing import Any
 
-from engine.control.engine_status import EngineStatus
+from engine.control.live_views import EngineStatus
 from engine.core.breath import WHOLE
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningStatus
-from engine.core.ranges import LearnedRange
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, GateWindow, HoldStage
 from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import LiveFrame, SessionPlan

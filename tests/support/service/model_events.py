@@ -1,6 +1,6 @@
 """Events of a motion model that was switched."""
 
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 
 SWAPPED = LearningEvent(
     kind=LearningEventKind.SWAPPED,

@@ -9,9 +9,8 @@ from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import LiveFrame, SessionPlan
 from service.sessions.alarms.board import AlarmBoard
 from service.sessions.views.live import live_sample
-from service.web.stream.encoding import Frame, MessageEncoder, Shape, StreamClock
+from service.web.stream.encoding import Encoding, Form, Frame, MessageEncoder, Shape, StreamClock
 from service.web.stream.hub import LiveHub
-from service.web.stream.query import Encoding, Form
 from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.service.fake_engine import FakeRunning
 

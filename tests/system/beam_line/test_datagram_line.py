@@ -7,8 +7,7 @@ import pytest
 from engine.core.clock import ManualClock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason, Lease
-from tests.support.beam import datagram_line as datagram
-from tests.support.beam import datagram_receiver as receiving
+from tests.support.beam import datagram_line as datagram, datagram_receiver as receiving
 from tests.support.beam.datagram_line import DatagramBeamLine, Message, MessageKind, decode, encode
 from tests.support.beam.datagram_peer import far_end
 from tests.support.beam.datagram_receiver import IDLE_S, BeamReceiver, serve

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from engine.beam.second_input import DrilledReceiver
+from engine.beam.heartbeat_drill import DrilledReceiver
 from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock

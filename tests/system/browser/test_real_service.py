@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, Playwright, expect
-from playwright.sync_api import TimeoutError as BrowserTimeoutError
+from playwright.sync_api import Browser, BrowserContext, Page, Playwright, TimeoutError as BrowserTimeoutError, expect
 
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.browser.chromium import launch_chromium, trust

@@ -15,7 +15,7 @@ from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from service.core.errors import BoundError
 from service.core.schemas.windows import Window
-from service.engine_host.process.shared_page import SLOTS
+from service.engine_host.process.channels import SLOTS
 from service.storage.files.journals import Journals, read_unless_in_use
 from tests.support.beam.receivers import Lateness
 from tests.support.engine_process.bench import (

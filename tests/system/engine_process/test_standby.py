@@ -11,8 +11,7 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, SourceLos
 from service.core.errors import EngineProcessError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process, process_engine
-from service.engine_host.process import process_engine as port_module
+from service.engine_host.process import child_process, process_engine, process_engine as port_module
 from service.engine_host.process.process_engine import LISTED_EARLIER, NEVER_LISTED, ProcessEngine
 from tests.support.engine_process import two_cameras_program
 from tests.support.engine_process.bench import PATIENCE_S, eventually, is_there, line_at, make_plan

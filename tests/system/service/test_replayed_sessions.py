@@ -23,7 +23,7 @@ from service.core.settings.database_place import DATABASE_NAME
 from service.sessions.recovery.replay import NotReplayableError, StoredSession, audit_differences
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
-from service.storage.files.tapes import tape_path
+from service.storage.files.motion_models import tape_path
 from tests.support.processor_features import WITHOUT_AVX as FEWER_FEATURES
 from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
 from tests.support.waiting import eventually

@@ -9,7 +9,7 @@ from engine.capture.openni.source import OpenNiSource
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
 from service.cli import app
-from service.storage.files.tapes import raw_path
+from service.storage.files.motion_models import raw_path
 from tests.support.virtual_camera.treatment_room import room
 
 pytestmark = pytest.mark.alone

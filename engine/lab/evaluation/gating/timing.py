@@ -4,24 +4,27 @@ One recording is measured once, and every window decides on the same frames as i
 comes its computing time after its capture (processor time, which does not depend on the machine's load). The true edges
 come from the same windows on the true motion at 1 kHz, without noise, frames or computing. With a frame every 33 ms, no
 smaller delay can be guaranteed at that rate.
+
+True breathing phase, known in retrospect: 0 % at every end of inhale, linear in time to the next.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import find_peaks
 
 from engine.calibration.camera_calibration import load_calibration
 from engine.capture.recording_source import OniFileSource
 from engine.core.breath import WHOLE, Breath, SignalChoice
 from engine.core.clock import ManualClock
 from engine.core.frames import FloatArray, MeasurementState, Motion
-from engine.core.head_direction import HeadDirection
-from engine.core.native_threads import keep_calls_in_their_thread
-from engine.core.signals import signal_of
+from engine.core.native_process import keep_calls_in_their_thread
+from engine.core.signals import HeadDirection, signal_of
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
     AmplitudeWindow,
@@ -33,14 +36,36 @@ from engine.gating.windows import (
     WindowInput,
     initial_states,
 )
-from engine.lab.evaluation.gating.true_phase import true_phase_percent
 from engine.lab.evaluation.playback import decoded_frames
 from engine.lab.evaluation.runs.datasets import Run, make_dataset
 from engine.lab.phantom.truth import CELL_PX, POINTS_RC, Truth, load_truth
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
-from engine.offline.gate_edges import Edge, TimedFrame, gate_edges, time_frames
+from engine.offline.offline_gate import Edge, TimedFrame, gate_edges, time_frames
+
+SHORTEST_BREATH_S = 1.5
+PROMINENCE_SHARE = 0.4
+
+
+def true_phase_percent(motion: FloatArray, seconds: FloatArray) -> FloatArray:
+    """Return the phase [%], 0 to below 100, shape (n,); NaN before the first end of inhale and after the last.
+
+    Parameters
+    ----------
+    motion
+        The true signal, inhale positive, without noise, shape (n,).
+    seconds
+        Its times [s], evenly spaced, shape (n,).
+    """
+    step_s = float(seconds[1] - seconds[0])
+    prominence = PROMINENCE_SHARE * float(np.ptp(np.percentile(motion, [5.0, 95.0])))
+    peaks, _ = find_peaks(motion, distance=max(int(SHORTEST_BREATH_S / step_s), 1), prominence=prominence)
+    phase = np.full(len(motion), np.nan)
+    for start, end in pairwise(peaks.tolist()):
+        phase[start:end] = 100.0 * np.arange(end - start) / (end - start)
+    return phase
+
 
 DWELL_MS = 165.0
 """Just under five frames at 30 frames/s, so that counting in frames adds no delay; settling times likewise."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from engine.core.errors import InvalidValueError
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.lab.phantom.falsifications import (
     BLACK_RGB,
     Blind,

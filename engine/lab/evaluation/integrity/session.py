@@ -16,9 +16,8 @@ from engine.core.commands import Arm
 from engine.core.errors import ModelError
 from engine.core.frames import BodyPosition, BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.head_direction import HeadDirection, depends_on_head
 from engine.core.motion_model import MotionModel
-from engine.core.signals import signal_of
+from engine.core.signals import HeadDirection, depends_on_head, signal_of
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits

@@ -4,15 +4,14 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from engine.lab.evaluation.report import published
+from engine.lab.evaluation.report import instrument_tables
 from engine.lab.evaluation.report.instrument_tables import (
     LaserAgreement,
     compare_with_laser,
     laser_table,
     spirometer_table,
 )
-from engine.lab.evaluation.runs.scored_run import ScoredRun
-from engine.lab.evaluation.runs.scores import COLUMNS, Score
+from engine.lab.evaluation.runs.scores import COLUMNS, Score, ScoredRun
 from engine.lab.evaluation.table import Cell, Table
 from engine.lab.phantom.builds import find_build
 
@@ -68,7 +67,11 @@ def glance(scored: list[ScoredRun]) -> Table:
         ("Five points, largest of all [mm]", None, *_over(fifteen, lambda s: max(s.points_max_mm), np.max)),
         ("Five points, correlation of motion", None, *_over(fifteen, lambda s: s.points_correlation)),
         ("Volume, correlation", None, *_over(fifteen, lambda s: s.volume_correlation)),
-        ("Five points against the laser, error [mm]", published.ARTICLE_ERROR, *_laser(fifteen, lambda b: b.mean_mm)),
+        (
+            "Five points against the laser, error [mm]",
+            instrument_tables.ARTICLE_ERROR,
+            *_laser(fifteen, lambda b: b.mean_mm),
+        ),
         ("Five points against the laser, correlation", "0.98", *_laser(fifteen, lambda b: b.correlation)),
         ("Volume against the spirometer, correlation", "0.97", *_spirometer(fifteen)),
         ("Whole ROI, error of a cell, regular [mm]", None, *_over(fifteen, lambda s: s.cells_mm)),
@@ -123,8 +126,11 @@ def table_2_compared(scored: list[ScoredRun]) -> Table:
     for one in fifteen:
         column = int(one.run.name[1:]) - 1
         cells: list[Cell] = [one.run.name]
-        cells += [float(published.TABLE_2_MEAN_MM[:, column].mean()), float(published.TABLE_2_MAX_MM[:, column].max())]
-        cells.append(float(published.TABLE_2_DEVIATION_MM[:, column].mean()))
+        cells += [
+            float(instrument_tables.TABLE_2_MEAN_MM[:, column].mean()),
+            float(instrument_tables.TABLE_2_MAX_MM[:, column].max()),
+        ]
+        cells.append(float(instrument_tables.TABLE_2_DEVIATION_MM[:, column].mean()))
         for name in COLUMNS:
             score = one.scores.get(name)
             if score is None:
@@ -154,8 +160,8 @@ def table_2_compared(scored: list[ScoredRun]) -> Table:
 def table_3(scored: list[ScoredRun]) -> Table:
     """Table 3: published errors of other systems, and ours."""
     fifteen = of_group(scored, "table2")
-    rows: list[tuple[Cell, ...]] = [(*row, "as published") for row in published.TABLE_3]
-    rows.append(("Article", published.ARTICLE_ERROR, "against a laser line, fifteen datasets of ten people"))
+    rows: list[tuple[Cell, ...]] = [(*row, "as published") for row in instrument_tables.TABLE_3]
+    rows.append(("Article", instrument_tables.ARTICLE_ERROR, "against a laser line, fifteen datasets of ten people"))
     names = {"plain": "Plain method of the article", "ours": "Tidegate", "oracle": "Oracle"}
     for name, title in names.items():
         scores = [one.scores[name] for one in fifteen if name in one.scores]

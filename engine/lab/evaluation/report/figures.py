@@ -10,20 +10,22 @@ from matplotlib.figure import Figure
 from engine.core.frames import FloatArray
 from engine.lab.evaluation.instruments.instruments import FIVE, LINE_SHARES
 from engine.lab.evaluation.report.bench_tables import of_group
-from engine.lab.evaluation.report.canvas import (
+from engine.lab.evaluation.report.instrument_tables import along_line
+from engine.lab.evaluation.report.more_figures import (
     COLORS,
     Picture,
     axes_of,
     caption,
     draw,
+    error_maps,
+    holds,
     legend,
     line,
     shade_of,
     surface,
+    sweeps,
 )
-from engine.lab.evaluation.report.instrument_tables import along_line
-from engine.lab.evaluation.report.more_figures import error_maps, holds, sweeps
-from engine.lab.evaluation.runs.scored_run import ScoredRun
+from engine.lab.evaluation.runs.scores import ScoredRun
 
 POINT = 3
 """Index of the fourth of the five points, on the right of the abdomen near the laser line."""

@@ -1,4 +1,7 @@
-"""Tables of the comparison with the article's instruments: laser line (Table 2) and spirometer."""
+"""Tables of the comparison with the article's instruments: laser line (Table 2) and spirometer.
+
+Published figures of the article (doi:10.3390/s17081840) and of other systems, for comparison.
+"""
 
 from dataclasses import dataclass
 
@@ -6,9 +9,7 @@ import numpy as np
 
 from engine.core.frames import FloatArray
 from engine.lab.evaluation.instruments.instruments import FIVE
-from engine.lab.evaluation.report import published
-from engine.lab.evaluation.runs.scored_run import ScoredRun
-from engine.lab.evaluation.runs.scores import correlation
+from engine.lab.evaluation.runs.scores import ScoredRun, correlation
 from engine.lab.evaluation.table import Cell, Table
 
 
@@ -67,7 +68,7 @@ def laser_table(scored: list[ScoredRun]) -> Table:
             continue
         column = int(one.run.name[1:]) - 1
         cells: list[Cell] = [one.run.name]
-        cells += [float(published.TABLE_2_MEAN_MM[:, column].mean()), float(published.TABLE_2_MAX_MM[:, column].max())]
+        cells += [float(TABLE_2_MEAN_MM[:, column].mean()), float(TABLE_2_MAX_MM[:, column].max())]
         for name in ("plain", "ours"):
             found = compare_with_laser(one, name)
             cells += [None] * 3 if found is None else [found.mean_mm, found.largest_mm, found.correlation]
@@ -122,3 +123,41 @@ def spirometer_table(scored: list[ScoredRun]) -> Table:
 def _mean(cells: list[Cell]) -> Cell:
     values = [cell for cell in cells if isinstance(cell, float)]
     return float(np.mean(values)) if values else None
+
+
+ARTICLE = "Wijenayake and Park, Sensors 2017, 17, 1840"
+
+TABLE_3 = (
+    ("Synchrony", "< 1.5 mm"),
+    ("ExacTrac", "< 1.0 mm"),
+    ("Calypso", "< 1.5 mm"),
+    ("Yang et al.", "1.1 ± 0.8 mm"),
+    ("Chen et al.", "4.25 ± 3.49 %"),
+    ("Alnowami et al.", "3.1 ± 0.6 mm"),
+)
+ARTICLE_ERROR = "0.53 ± 0.25 mm"
+
+# Table 2: five points (rows) of fifteen datasets (columns), mm.
+# fmt: off
+TABLE_2_MEAN_MM = np.array([
+    [0.23, 0.66, 0.18, 0.27, 0.39, 0.36, 0.36, 0.21, 0.83, 0.45, 0.32, 0.36, 0.94, 0.43, 0.55],
+    [0.39, 0.34, 0.33, 0.52, 0.22, 1.09, 0.47, 0.47, 0.85, 0.46, 0.30, 0.50, 0.52, 0.97, 0.38],
+    [0.31, 0.85, 0.42, 0.50, 0.59, 0.41, 0.44, 0.74, 0.78, 0.70, 0.40, 0.63, 1.04, 0.57, 0.64],
+    [0.42, 0.27, 0.28, 0.51, 0.34, 0.40, 0.36, 0.38, 1.18, 1.55, 0.69, 0.50, 0.74, 0.49, 0.41],
+    [0.32, 0.43, 0.33, 0.29, 0.51, 0.89, 0.53, 0.70, 0.37, 0.43, 0.38, 0.70, 0.87, 0.63, 0.73],
+])
+TABLE_2_MAX_MM = np.array([
+    [0.92, 2.69, 0.66, 1.14, 0.96, 1.41, 1.41, 0.77, 1.91, 1.45, 1.05, 1.47, 1.89, 1.24, 1.51],
+    [1.10, 1.34, 0.84, 1.62, 0.66, 1.87, 1.37, 1.31, 1.72, 1.34, 0.79, 1.55, 1.56, 2.51, 1.38],
+    [1.09, 1.90, 1.18, 1.29, 1.39, 1.28, 1.59, 1.81, 1.97, 1.83, 1.03, 1.89, 2.55, 1.56, 1.82],
+    [0.95, 1.38, 0.77, 1.72, 0.91, 0.90, 1.03, 1.24, 2.45, 3.18, 1.52, 1.52, 1.86, 1.11, 1.02],
+    [0.89, 2.23, 0.96, 1.61, 0.97, 1.68, 1.46, 1.59, 1.27, 1.35, 1.02, 2.04, 2.16, 1.63, 1.79],
+])
+TABLE_2_DEVIATION_MM = np.array([
+    [0.19, 0.66, 0.13, 0.24, 0.22, 0.32, 0.32, 0.16, 0.47, 0.31, 0.23, 0.29, 0.50, 0.27, 0.38],
+    [0.25, 0.31, 0.21, 0.38, 0.16, 0.40, 0.30, 0.33, 0.46, 0.32, 0.19, 0.34, 0.40, 0.66, 0.29],
+    [0.25, 0.44, 0.26, 0.32, 0.34, 0.31, 0.34, 0.44, 0.50, 0.46, 0.26, 0.47, 0.65, 0.36, 0.40],
+    [0.21, 0.27, 0.19, 0.46, 0.23, 0.24, 0.26, 0.27, 0.71, 0.67, 0.32, 0.43, 0.43, 0.32, 0.24],
+    [0.22, 0.49, 0.21, 0.27, 0.23, 0.37, 0.40, 0.40, 0.29, 0.33, 0.25, 0.59, 0.56, 0.37, 0.42],
+])
+# fmt: on

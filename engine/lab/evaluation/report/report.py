@@ -10,10 +10,10 @@ from typing import Any
 
 from engine.core.files import write_whole
 from engine.lab.evaluation.report.bench_tables import all_tables
-from engine.lab.evaluation.report.canvas import Picture
 from engine.lab.evaluation.report.figures import all_figures
+from engine.lab.evaluation.report.more_figures import Picture
 from engine.lab.evaluation.runs.marks import Mark, marks_table, reach
-from engine.lab.evaluation.runs.scored_run import ScoredRun
+from engine.lab.evaluation.runs.scores import ScoredRun
 from engine.lab.evaluation.table import Table
 
 # The report page: one HTML file with all tables and figures, without other files or network access.

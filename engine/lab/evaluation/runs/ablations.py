@@ -19,11 +19,11 @@ from engine.core.clock import ManualClock
 from engine.core.errors import InvalidValueError
 from engine.core.frames import BoolArray, FloatArray, RoiDepth
 from engine.core.motion_model import MotionModel
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.native_process import keep_calls_in_their_thread
 from engine.lab.evaluation.playback import decoded_frames
 from engine.lab.evaluation.runs.datasets import Run, full_plan, make_dataset
 from engine.lab.evaluation.table import Cell, Table
-from engine.lab.phantom.sensor_models import USUAL, find_sensor
+from engine.lab.phantom.sensor import USUAL, find_sensor
 from engine.lab.phantom.truth import CELL_PX, load_truth
 from engine.motion.learning import fitting
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
@@ -69,7 +69,7 @@ VARIANTS = (
     Variant(name="as shipped"),
     Variant(
         name="readings without undoing the depth steps",
-        patches={("engine.motion.tracking.depth_table", "find_steps"): lambda _: None},
+        patches={("engine.motion.tracking.region_tracker", "find_steps"): lambda _: None},
     ),
     Variant(
         name="components smoothed by 4 px only",
@@ -93,7 +93,7 @@ VARIANTS = (
     ),
     Variant(
         name="reference from a single frame",
-        patches={("engine.motion.learning.reference_smoothing", "MIN_FRAMES"): 1000},
+        patches={("engine.motion.learning.reference_transfer", "MIN_FRAMES"): 1000},
     ),
     Variant(name="no outlier rejection", patches={(_PROJECTION, "OUTLIER_MM"): 1e4}),
     Variant(name="one component", components=1),

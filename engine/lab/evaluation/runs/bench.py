@@ -22,10 +22,10 @@ from pathlib import Path
 
 from engine.core.bounds import check_whole_number
 from engine.core.errors import InvalidValueError, RecordingError, TidegateError
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.native_process import keep_calls_in_their_thread
 from engine.lab.evaluation.methods.outcome import Outcome
 from engine.lab.evaluation.runs.datasets import Run, is_made, make_dataset, write_recipe
-from engine.lab.evaluation.runs.scored_run import ScoredRun, score_run
+from engine.lab.evaluation.runs.scores import ScoredRun, score_run
 from engine.lab.evaluation.runs.trial import TrialSettings, measure_run, recipe_of
 
 MEASURED, MEASURED_RECIPE = "measured.npz", "measured.json"

@@ -17,7 +17,7 @@ from engine.core.bounds import check_number, check_whole_number
 from engine.core.files import write_whole
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.recording import make_volunteer
-from engine.lab.phantom.sensor_models import USUAL
+from engine.lab.phantom.sensor import USUAL
 
 SCHEMA = "tidegate.bench/1"
 SEED = 2017

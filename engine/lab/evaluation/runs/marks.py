@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.lab.evaluation.runs.scored_run import ScoredRun
-from engine.lab.evaluation.runs.scores import Score
+from engine.lab.evaluation.runs.scores import Score, ScoredRun
 from engine.lab.evaluation.table import Table
 
 

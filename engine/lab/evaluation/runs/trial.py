@@ -15,7 +15,7 @@ from engine.calibration.camera_calibration import Calibration, load_calibration
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import ManualClock
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Measurement, MeasurementState, Motion, RgbdFrame
-from engine.core.native_threads import keep_calls_in_their_thread
+from engine.core.native_process import keep_calls_in_their_thread
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.lab.evaluation.instruments.instruments import LaserSide, add_spirometer
@@ -26,11 +26,11 @@ from engine.lab.evaluation.methods.plain import (
     PlainFrame,
     PlainModel,
     PlainReading,
+    PlainVolume,
     fill_zeros,
     smooth,
     unfiltered,
 )
-from engine.lab.evaluation.methods.plain_volume import PlainVolume
 from engine.lab.evaluation.playback import decoded_frames
 from engine.lab.evaluation.runs.datasets import Run, fingerprint
 from engine.lab.phantom.recording import load_truth

@@ -9,9 +9,15 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
-from engine.beam.status.message import GOOD_FOR_NS, BeamState, LineStatus
-from engine.beam.status.published_line import PublishedBeamLine
-from engine.beam.status.publisher import HttpSender, StatusPublisher, UdpSender
+from engine.beam.status.published_line import (
+    GOOD_FOR_NS,
+    BeamState,
+    HttpSender,
+    LineStatus,
+    PublishedBeamLine,
+    StatusPublisher,
+    UdpSender,
+)
 from engine.core.clock import NS_PER_S, ManualClock, MonotonicClock
 from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import HoldReason, Lease

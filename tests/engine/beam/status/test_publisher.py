@@ -7,9 +7,18 @@ import threading
 
 import pytest
 
-from engine.beam.status import publisher as announcing
-from engine.beam.status.message import GOOD_FOR_NS, BeamState, LineStatus
-from engine.beam.status.publisher import CLOSE_S, HEARTBEAT_NS, USER_AGENT, HttpSender, StatusPublisher, UdpSender
+from engine.beam.status import published_line as announcing
+from engine.beam.status.published_line import (
+    CLOSE_S,
+    GOOD_FOR_NS,
+    HEARTBEAT_NS,
+    USER_AGENT,
+    BeamState,
+    HttpSender,
+    LineStatus,
+    StatusPublisher,
+    UdpSender,
+)
 from engine.core.clock import NS_PER_S, ManualClock
 from engine.core.gate_state import HoldReason
 from tests.support.beam.stepped_line import MS

@@ -13,8 +13,7 @@ import pytest
 from engine.beam.line import BeamLine
 from engine.beam.paired import PairedBeamLine
 from engine.beam.simulated import SimulatedBeamLine
-from engine.beam.status.published_line import PublishedBeamLine
-from engine.beam.status.publisher import StatusPublisher
+from engine.beam.status.published_line import PublishedBeamLine, StatusPublisher
 from engine.beam.wire import supervised_line
 from engine.beam.wire.line_supervisor import LineTimes
 from engine.beam.wire.supervised_line import WiredBeamLine

@@ -4,8 +4,7 @@ import queue
 import threading
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.beam.wire.line_supervisor import LineTimes
 from engine.beam.wire.supervised_line import WiredBeamLine

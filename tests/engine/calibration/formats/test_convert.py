@@ -5,12 +5,11 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.calibration.camera_calibration import SCHEMA
 from engine.calibration.formats.builder import ImportOptions
-from engine.calibration.formats.convert import convert, read_upload
+from engine.calibration.formats.conversion import convert, read_upload
 from engine.core.errors import CalibrationError
 from tests.support.calibration.foreign_calibrations import (
     CAMERAS,

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.calibration.procedures.boards import Board, find_corners, read_picture
-from engine.calibration.procedures.picture_files import list_pictures, match_pictures
+from engine.calibration.procedures.boards import Board, find_corners, list_pictures, match_pictures, read_picture
 from engine.core.errors import InvalidValueError, RecordingError
 from tests.support.calibration.camera_pair import BOARD, CAMERAS, board_poses, draw, seen_corners
 

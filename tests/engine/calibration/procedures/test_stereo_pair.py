@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from engine.calibration.procedures.accuracy import AT_MM
+from engine.calibration.procedures.boards import find_coverage
 from engine.calibration.procedures.checkerboard import FoundBoards, calibrate
-from engine.calibration.procedures.coverage import find_coverage
 from engine.calibration.procedures.residual_plot import draw_residuals
 from engine.calibration.procedures.stereo_pair import BoardPair, PictureSizes, fit_pair
 from engine.core.errors import CalibrationError, InvalidValueError

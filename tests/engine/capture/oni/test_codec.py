@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from engine.capture.oni.codec import decode_jpeg, encode_16zt, encode_jpeg
-from engine.capture.oni.unpacking import decode_16zt
+from engine.capture.oni.codec import decode_16zt, decode_jpeg, encode_16zt, encode_jpeg
 from engine.core.errors import RecordingError
 from tests.support.capture.codec_oracle import count_pixels, decode_slowly
 from tests.support.capture.oni_recordings import color_picture, depth_picture

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from engine.capture.oni.codec import encode_16zt
-from engine.capture.oni.unpacking import decode_16zt
+from engine.capture.oni.codec import decode_16zt, encode_16zt
 from engine.core import compiled
 from engine.core.errors import RecordingError
 from tests.support.capture.codec_oracle import decode_slowly

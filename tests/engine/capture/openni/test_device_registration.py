@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from engine.calibration.device_registration import registered_calibration
-from engine.capture.openni import c_api as c
-from engine.capture.openni import device as _openni_device
+from engine.capture.openni import c_api as c, device as _openni_device
 from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.source import OpenNiSource
 from engine.core.clock import MonotonicClock

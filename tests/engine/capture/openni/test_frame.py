@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.capture.openni import c_api as c
-from engine.capture.openni.frame import COLOR, DEPTH, LATEST_US, copied
+from engine.capture.openni.device import COLOR, DEPTH, LATEST_US, copied
 
 pytestmark = pytest.mark.alone
 

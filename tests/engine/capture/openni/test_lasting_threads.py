@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from engine.capture.openni import c_api
-from engine.capture.openni.lasting_threads import call_on_lasting_thread, run_on_lasting_thread
+from engine.capture.openni.c_api import call_on_lasting_thread, run_on_lasting_thread
 from engine.capture.openni.source import list_devices
 
 pytestmark = pytest.mark.alone

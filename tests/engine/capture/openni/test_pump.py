@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from engine.capture.openni.frame import COLOR, DEPTH, DeviceFrame
+from engine.capture.openni.device import COLOR, DEPTH, DeviceFrame
 from engine.capture.openni.pump import CapturePump
 from engine.core.clock import NS_PER_MS, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.capture.openni import c_api
-from engine.capture.openni import source as openni
+from engine.capture.openni import c_api, source as openni
 from engine.capture.openni.source import OpenNiSource
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock

@@ -3,7 +3,7 @@
 import pytest
 
 from engine.core.gate_state import HoldReason
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.gating.supervision.supervisor import NS_PER_MIN, ModelAge
 from tests.support.gating.streams import LIMITS
 

@@ -9,7 +9,7 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import Arm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.ranges import LearnedRange
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow
 from tests.support.gating.streams import LIMITS, Stream
 

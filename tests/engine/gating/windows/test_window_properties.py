@@ -7,15 +7,13 @@ drawn rests inside, so that the beam does go on and nothing holds vacuously.
 from dataclasses import replace
 
 import pytest
-from hypothesis import event, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, given, settings, strategies as st
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.commands import Arm
 from engine.core.frames import Motion
 from engine.core.gate_state import GateState
-from engine.core.ranges import LearnedRange
-from engine.core.signals import signal_of
+from engine.core.signals import LearnedRange, signal_of
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, JoinedWindow, PhaseWindow
 from tests.support.gating.streams import LIMITS, Stream, motion_of
 

@@ -15,16 +15,13 @@ from engine.capture.oni.reader import OniReader, describe
 from engine.core.clock import ManualClock
 from engine.core.errors import SourceEndedError
 from engine.core.gate_state import GateState
-from engine.lab.performance import recording as recording_module
+from engine.lab.performance import session as recording_module
 from engine.lab.performance.bench import full_sizes, write_figures
-from engine.lab.performance.figures import frames_per_s, timing_of
 from engine.lab.performance.frames import FrameSizes, time_frames
-from engine.lab.performance.machine import SpeedBenchError, heap_in_use_bytes, on_cores, pinned
-from engine.lab.performance.marks import reach
+from engine.lab.performance.machine import SpeedBenchError, frames_per_s, heap_in_use_bytes, on_cores, pinned, timing_of
 from engine.lab.performance.memory import MemorySizes, memory_use
-from engine.lab.performance.recording import make_recording
-from engine.lab.performance.session import BenchSession, EndlessSource, Recording
-from engine.lab.performance.tables import speed_tables
+from engine.lab.performance.results import reach, speed_tables
+from engine.lab.performance.session import BenchSession, EndlessSource, Recording, make_recording
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from service.cli import app
 from tests.support.evaluation.performance_figures import FRAMES, GOOD, TINY, slower, took

@@ -9,9 +9,9 @@ from engine.lab.phantom.costal import CostalStickers
 from engine.lab.phantom.recording import _labels
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.studio import Studio
-from engine.motion.stages.extra_markers import find_split
 from engine.motion.stages.markers import MarkerSearch, find_stickers
 from engine.motion.stages.roi import color_from_roi
+from engine.motion.tracking.costal_line import find_split
 
 pytestmark = pytest.mark.slow
 

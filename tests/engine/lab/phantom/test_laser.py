@@ -7,8 +7,7 @@ from typer.testing import CliRunner
 from engine.calibration.camera_calibration import load_calibration
 from engine.calibration.laser_plane import load_plane
 from engine.capture.oni.reader import OniReader
-from engine.lab.phantom.flow import breathe_through
-from engine.lab.phantom.laser import LaserTruth, hang_laser, truth_columns
+from engine.lab.phantom.laser import LaserTruth, breathe_through, hang_laser, truth_columns
 from engine.lab.phantom.recording import FILES, make_volunteer
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.studio import Studio

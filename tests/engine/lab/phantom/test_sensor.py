@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from engine.lab.phantom.builds import find_build
-from engine.lab.phantom.holes import cast_shadow
 from engine.lab.phantom.rig import build_rig
-from engine.lab.phantom.sensor import Sensor, Unit, depth_table_mm, shift_of
+from engine.lab.phantom.sensor import Sensor, Unit, cast_shadow, depth_table_mm, shift_of
 from engine.lab.phantom.studio import Studio
 
 pytestmark = pytest.mark.slow

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.lab.phantom.holes import Holes
 from engine.lab.phantom.rig import HEIGHT_PX, STEPS_A_MM, WIDTH_PX
-from engine.lab.phantom.sensor import Sensor, Unit, depth_table_mm, shift_of
-from engine.lab.phantom.sensor_models import SENSORS, STEPS_A_PX, find_sensor
+from engine.lab.phantom.sensor import SENSORS, STEPS_A_PX, Holes, Sensor, Unit, depth_table_mm, find_sensor, shift_of
 
 FRAMES = 24
 MEASURED_MM = {1: 0.98, 4: 0.59, 8: 0.46, 16: 0.28, 32: 0.16}

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.core.breath import SignalChoice
 from engine.motion.breathing import correct_baseline, follow_breathing, shifted, start_breathing, with_baseline

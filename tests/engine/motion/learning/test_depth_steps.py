@@ -7,7 +7,7 @@ import pytest
 
 from engine.calibration.quantisation import DepthSteps
 from engine.core.errors import InvalidValueError, ModelError, ModelMismatchError
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from engine.motion.learning.depth_steps import MAX_DIFFERENCE_MM, steps_mismatch, stored_steps
 from engine.motion.learning.model_file import load_model, save_model
 from tests.support.motion.training_frames import Patient

@@ -7,8 +7,8 @@ import pytest
 
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import ModelError
-from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.model_file import load_model, save_model
+from engine.motion.learning.reference_history import learned_ranges
 from tests.support.motion.training_frames import Patient
 
 CHOICES = [

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from engine.core.errors import CommandRefusedError, ModelMismatchError
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from engine.motion.learning.patient_match import PatientMatchLimits
+from engine.motion.learning.position_fit import rigid_between
 from engine.motion.learning.reference_transfer import compare_models
-from engine.motion.learning.rigid_fit import rigid_between
 from engine.motion.learning.trainer import BackgroundTrainer
 from tests.support.motion import training_frames
 from tests.support.motion.held_trainer import HeldTrainer

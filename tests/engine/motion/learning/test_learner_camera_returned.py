@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from engine.core.errors import CommandRefusedError
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from tests.support.motion.held_trainer import HeldTrainer
 from tests.support.motion.training_frames import Patient
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError, ModelError
-from engine.core.motion_model import MotionModel
-from engine.core.provenance import ModelOrigin, Provenance, TrainingQuality
+from engine.core.motion_model import ModelOrigin, MotionModel, Provenance, TrainingQuality
 from engine.motion.learning.model_file import header_text, load_model, save_model
 
 pytestmark = pytest.mark.slow

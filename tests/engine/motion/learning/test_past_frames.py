@@ -7,7 +7,7 @@ import pytest
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import CommandRefusedError
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
 from engine.motion.learning.past_frames import PastBreaths, PastFrames
 from engine.motion.learning.tasks import Candidate, PastBreathsJob
 from engine.motion.learning.trainer import TrainingSettings

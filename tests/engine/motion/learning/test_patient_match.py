@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.core.patient_match import PatientMatch
+from engine.core.learning_status import PatientMatch
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits, with_refusal
 
 LIMITS = PatientMatchLimits()

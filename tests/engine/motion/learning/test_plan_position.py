@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.core.first_reference import SCHEMA_WITHOUT_MOMENT, read_first_reference
-from engine.core.learning_events import LearningEventKind
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.learning_status import LearningEventKind
+from engine.core.reference import SCHEMA_WITHOUT_MOMENT, ReferenceMoment, read_first_reference
 from tests.support.motion.scene_session import SceneSession, scene_frames
 
 EXHALE, INHALE, NOW = ReferenceMoment

@@ -7,7 +7,7 @@ import pytest
 
 from engine.core.frames import Projection, RoiDepth
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.quality_maps import with_quality_maps
+from engine.motion.learning.training_quality import with_quality_maps
 from engine.motion.stages.projection import prepare_basis, project
 
 NOISE_MM = 0.8

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.core.first_reference import SCHEMA, read_first_reference
 from engine.core.frames import NODE_COLUMNS
-from engine.core.learning_events import LearningEventKind
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.learning_status import LearningEventKind
+from engine.core.reference import SCHEMA, ReferenceMoment, read_first_reference
 from engine.motion.learning import reference_history
 from tests.support.motion import small_scene
 from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames

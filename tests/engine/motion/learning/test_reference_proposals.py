@@ -8,7 +8,7 @@ import pytest
 from engine.core.breath import Breath
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import Motion
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import ReferenceMoment
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.reference_proposals import ReferenceProposals
 from tests.support.gating.streams import motion_of

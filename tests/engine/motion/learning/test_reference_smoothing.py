@@ -5,7 +5,7 @@ import pytest
 
 from engine.core.frames import RoiDepth
 from engine.motion.learning.prepared_model import prepare_model
-from engine.motion.learning.reference_smoothing import FRAMES, RecentFrames
+from engine.motion.learning.reference_transfer import FRAMES, RecentFrames
 from engine.motion.stages.projection import STRIDE_PX, modes_of, project
 from engine.motion.stages.regions import RegionLayout
 from tests.support.motion.fitting_frames import BREATH, REST_MM, frames, learn

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.core.errors import CommandRefusedError
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from engine.motion.learning.refit import GROWTH
 from engine.motion.stages.roi import at_nodes
 from tests.support.motion import training_frames

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.core.breath import SignalChoice
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, SeenShares

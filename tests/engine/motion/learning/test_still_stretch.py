@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
-from engine.motion.learning.still_stretch import STEP_US, StillStretch
+from engine.motion.learning.past_frames import STEP_US, StillStretch
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
 

@@ -9,9 +9,9 @@ from engine.lab.phantom.costal import CostalStickers
 from engine.lab.phantom.scene import Script
 from engine.lab.phantom.studio import Studio
 from engine.lab.phantom.view import Frustum
-from engine.motion.stages.extra_markers import agreed_split, find_split, split_between
 from engine.motion.stages.markers import MarkerSearch, find_markers, find_stickers
 from engine.motion.stages.roi import color_from_roi
+from engine.motion.tracking.costal_line import agreed_split, find_split, split_between
 
 CORNERS = np.array([[240.3, 120.7], [402.6, 124.2], [392.1, 384.9], [246.8, 380.4]])
 ROI_MAP = color_from_roi(CORNERS)

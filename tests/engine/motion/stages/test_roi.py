@@ -9,8 +9,7 @@ from engine.calibration.quantisation import depth_table_mm
 from engine.core.frames import NODE_COLUMNS, NODE_STEP, ROI_COLUMNS, ROI_ROWS, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
 from engine.motion.stages.preprocessing import fill_holes, smooth_bilateral
-from engine.motion.stages.registration import align
-from engine.motion.stages.roi import at_nodes, color_from_roi, cut_out, roi_nodes
+from engine.motion.stages.roi import align, at_nodes, color_from_roi, cut_out, roi_nodes
 
 ANGLE = np.radians(1.5)
 CALIBRATION = Calibration(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, LostReason, RoiDepth
-from engine.motion.tracking.marker_layout import (
+from engine.motion.tracking.surface_continuity import (
     MARGIN_MM,
     MAX_HIDDEN_US,
     NAMES,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from engine.core.errors import ModelError, TrainingFailedError, TrainingRefusedError
-from engine.core.learning_events import LearningEventKind
+from engine.core.learning_status import LearningEventKind
 from engine.motion.training_process.__main__ import NICENESS
 from engine.motion.training_process.process_trainer import ProcessTrainer
 from tests.support.motion.training_frames import FEWER, Patient

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from engine.motion.training_process.shared_value import (
+from engine.motion.training_process.server import (
     ALIGNMENT,
     SharedValueError,
     make_file,

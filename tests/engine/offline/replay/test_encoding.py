@@ -10,9 +10,9 @@ from engine.core.breath import BreathEventKind, GateSignal, SignalChoice
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, Retrain
 from engine.core.errors import BeamLineMismatchError, InvalidValueError, RecordingError, SourceAwayError
 from engine.core.gate_state import HoldReason
+from engine.gating.active_window import SetWindow
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
-from engine.gating.window_change import SetWindow
 from engine.gating.windows import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -25,8 +25,7 @@ from engine.gating.windows import (
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings
-from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.inputs import FrameHead, Raised
+from engine.offline.replay.encoding import FrameHead, Raised, TapeEncoding
 from tests.support.replay.scripted_tape import NO_MODELS
 from tests.support.service.fake_engine import make_model
 

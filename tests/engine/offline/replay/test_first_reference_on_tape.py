@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from engine.core.errors import RecordingError
-from engine.core.first_reference import NODES, FirstReference
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import NODES, FirstReference, ReferenceMoment
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.header import METHOD, Frames, TapeHeader, read_head
 from tests.support.gating.streams import LIMITS

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import pytest
 
 from engine.control.command_queue import QueuedCommand
-from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
+from engine.control.turn_reader import CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm
 from engine.core.errors import BeamLineMismatchError
@@ -15,8 +15,8 @@ from engine.core.gate_state import HoldReason
 from engine.core.input_tap import InputKind
 from engine.gating.gate import Interruption
 from engine.gating.interlocks import DecisionInputs
-from engine.offline.replay.inputs import kept_of
-from engine.offline.replay.readings import OtherReadingError, RecordedReadings
+from engine.offline.replay.encoding import kept_of
+from engine.offline.replay.tape_file import OtherReadingError, RecordedReadings
 from tests.support.control.loop_bench import ScriptedSource, good
 from tests.support.replay.scripted_tape import NO_MODELS
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from engine.control.turn_inputs import CommandInputs
+from engine.control.turn_reader import CommandInputs
 from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain, SetReference
 from engine.core.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import InputKind
-from engine.gating.window_change import SetWindow
+from engine.gating.active_window import SetWindow
 from engine.gating.windows import amplitude_window
 from engine.offline.replay.comparison import within_rounding
 from engine.offline.replay.outcomes import text_of

@@ -12,7 +12,7 @@ from engine.offline.replay.tape_writer import TapeWriter, sha256_of
 from service.core.settings.settings import Settings
 from service.engine_host import session_tape
 from service.engine_host.session_tape import SessionTape
-from service.storage.files.tapes import tape_path
+from service.storage.files.motion_models import tape_path
 from tests.support.replay.scripted_tape import NO_MODELS
 
 LONG_S = 600.0

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from engine.qa.latency.host_times import HostTimes, fit_host_times
+from engine.qa.latency.captured import HostTimes, fit_host_times
 
 DEVICE_US = np.arange(900, dtype=np.int64) * 33_366 + 5_000_000
 

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
 from engine.lab.virtual_latency import BEGINS_NS, VirtualCamera, VirtualFaults, virtual_light
-from engine.qa.latency.captured import FrameTimes, PictureLog, TimeLog
-from engine.qa.latency.light_pattern import LightChange, intervals_ns, refuse_pattern
+from engine.qa.latency.captured import CameraLatency, FrameTimes, PictureLog, TimeLog
+from engine.qa.latency.light_driver import LightChange, intervals_ns, refuse_pattern
 from engine.qa.latency.light_timing import latency_by_light
-from engine.qa.latency.results import CameraLatency
 from engine.qa.playing import frames_of
 
 SECONDS = 35.0

@@ -5,7 +5,7 @@ from datetime import timedelta
 import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
-from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
+from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider
 from service.access.oidc.service import OidcMachines, permissions_of
 from service.core.permissions import Permission

@@ -7,8 +7,7 @@ import httpx2
 import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
-from service.access.oidc.errors import OidcReason, OidcRefusedError, OidcUnavailableError
-from service.access.oidc.http_client import ProviderClient
+from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError, ProviderClient
 from service.access.oidc.pending_logins import PendingLogins
 from service.access.oidc.people import AuthorizationResponse, NoRoleError, OidcPeople, names_of, roles_of
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import anyio
 import pytest
 
-from service.access.request.claimed_operator import ClaimedOperator, read_claim
+from service.access.request.identity import ClaimedOperator, read_claim
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import FakeRunning
 

@@ -9,9 +9,9 @@ from contextvars import copy_context
 
 import pytest
 
+from service.core.current_request import begin_request, begin_session
 from service.core.logging.nonblocking import NonblockingHandler, dropped_lines
 from service.core.logging.redaction import FIELDS, JsonFormatter, RedactingFormatter, in_one_line, install_private_log
-from service.core.logging.request_ids import begin_request, begin_session
 from tests.support.waiting import eventually
 
 NASTY = [

@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 
 from engine.control.command_queue import CommandQueue
-from engine.control.engine_status import EngineStatus
+from engine.control.live_views import EngineStatus
 from engine.control.outputs import LoopStatus
 from engine.core.clock import ManualClock
 from engine.core.commands import SetReference
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningStatus
 from engine.gating.gate import Interruption
-from service.engine_host.process.channels import BulkChannel, ChannelClosedError, ControlChannel
+from service.engine_host.process.channels import BulkChannel, ChannelClosedError, ControlChannel, SharedPage
 from service.engine_host.process.engine_server import EngineServer, OutgoingQueue, UpdateSender
 from service.engine_host.process.messages import CommandResult, EngineUpdate, Fault, Heartbeat, Opened, Presence
 from service.engine_host.process.remote_engine import CountingQueue, RemoteEngine
-from service.engine_host.process.shared_page import SharedPage
 
 pytestmark = pytest.mark.waiting
 

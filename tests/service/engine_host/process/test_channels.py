@@ -12,10 +12,18 @@ import pytest
 import service.web.app  # noqa: F401 - for the errors of all it is made of
 from engine.core.commands import ActivateModel, Arm
 from engine.core.errors import InvalidValueError, ModelMismatchError, TidegateError, TrainingRefusedError
-from engine.core.patient_match import PatientMatch
-from service.engine_host.process.channels import LARGE_BYTES, BulkChannel, ChannelClosedError, ControlChannel, pack
+from engine.core.learning_status import PatientMatch
+from service.engine_host.process.channels import (
+    LARGE_BYTES,
+    PICTURE_BYTES,
+    PICTURES,
+    BulkChannel,
+    ChannelClosedError,
+    ControlChannel,
+    SharedPage,
+    pack,
+)
 from service.engine_host.process.messages import CommandMessage, EngineFailedError, portable
-from service.engine_host.process.shared_page import PICTURE_BYTES, PICTURES, SharedPage
 from tests.support.engine_process.bench import make_plan
 
 pytestmark = pytest.mark.waiting
@@ -231,7 +239,7 @@ def test_a_reader_that_is_overtaken_reads_the_newest_then_however_often(pages):
 
 
 def test_a_reader_that_is_overtaken_for_ever_gives_up(pages, monkeypatch):
-    monkeypatch.setattr("service.engine_host.process.shared_page.READ_S", 0.0)
+    monkeypatch.setattr("service.engine_host.process.channels.READ_S", 0.0)
     writing, reading = pages
     reading.overtake = [lambda: [writing.write_picture(index, picture_of(index)) for index in range(PICTURES)]] * 5
     writing.write_picture(0, picture_of(0))

@@ -4,7 +4,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from service.access.request.rules import RULES
-from service.monitoring.metrics.http import METHODS, OTHER_METHOD, RouteNames, method_of
+from service.monitoring.metrics.registry import METHODS, OTHER_METHOD, RouteNames, method_of
 
 pytestmark = pytest.mark.slow
 

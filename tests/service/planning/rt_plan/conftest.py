@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from service.core.settings.settings import Settings
 from tests.support.planning.api_calls import BREATH_HOLD, kept
 from tests.support.service.accounts import PeopleClient

@@ -5,14 +5,12 @@ import tracemalloc
 import zlib
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from service.core.schemas.plans import RtPlan
-from service.planning.rt_plan import element_reader
-from service.planning.rt_plan.element_reader import MAX_DEPTH, MAX_ELEMENTS, MAX_ITEMS
+from service.planning.rt_plan import part10
 from service.planning.rt_plan.errors import PlanError
-from service.planning.rt_plan.part10 import MAX_INFLATED_BYTES
+from service.planning.rt_plan.part10 import MAX_DEPTH, MAX_ELEMENTS, MAX_INFLATED_BYTES, MAX_ITEMS
 from service.planning.rt_plan.reading import read_plan
 from tests.support.planning.dicom_plans import SYNTAXES, beam, ion_plan, open_lengths, photon_plan, written
 from tests.support.planning.refusals import refused
@@ -132,7 +130,7 @@ def test_items_are_bounded(items):
 
 
 def test_elements_are_bounded_wherever_they_are(monkeypatch):
-    monkeypatch.setattr(element_reader, "MAX_ITEMS", 10**9)
+    monkeypatch.setattr(part10, "MAX_ITEMS", 10**9)
     many = META + SEQUENCE_HEAD + struct.pack("<I", OPEN) + (ITEM_HEAD + b"\0\0\0\0") * (MAX_ELEMENTS + 1)
     error = refused(many)
     assert (error.code, str(MAX_ELEMENTS) in str(error.bound)) == ("plan_too_complex", True)

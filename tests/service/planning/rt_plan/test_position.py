@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from service.planning.rt_plan.errors import PlanPositionError
 from service.planning.rt_plan.planned_sessions import head_direction, position_notes, position_of
 from service.planning.rt_plan.reading import read_plan

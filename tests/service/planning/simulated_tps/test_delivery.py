@@ -2,8 +2,7 @@
 
 import pytest
 
-from service.planning.simulated_tps.delivered_beams import Beam, DeliveredBeams
-from service.planning.simulated_tps.delivery import BeamClock, Seen, recorded
+from service.planning.simulated_tps.delivery import Beam, BeamClock, DeliveredBeams, Seen, recorded
 
 FRAME_US = 33_333
 

@@ -2,10 +2,9 @@
 
 import pytest
 
-from service.planning.simulated_tps.delivered_beams import Beam
-from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError
+from service.planning.simulated_tps.delivery import Beam
 from service.planning.simulated_tps.fraction import FractionRun, FractionSettings
-from service.planning.simulated_tps.prescription import Prescription
+from service.planning.simulated_tps.prescription import FractionEndedError, Prescription, SessionOverError
 from service.planning.simulated_tps.session_driver import DeliverySettings
 
 PLAN = Prescription(

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from service.client import ProblemError, UnreachableError
-from service.planning.simulated_tps.delivered_beams import Beam, DeliveredBeams
-from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
+from service.planning.simulated_tps.delivery import Beam, DeliveredBeams
+from service.planning.simulated_tps.prescription import FractionEndedError, SessionOverError, TpsError
 from service.planning.simulated_tps.session_driver import DeliverySettings, FractionEvents, SessionDriver
 
 FRAME_US = 100_000

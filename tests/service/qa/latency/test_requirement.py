@@ -7,9 +7,10 @@ import pytest
 
 from service.core.errors import BoundError, CameraLatencyError
 from service.core.settings.settings import Settings
-from service.qa.latency.records import largest_counted_ms, newest_latencies
 from service.qa.latency.requirement import (
     counted_latency_ms,
+    largest_counted_ms,
+    newest_latencies,
     refusal,
     refuse_unmeasured,
     refuse_unmeasured_site,

@@ -1,8 +1,7 @@
 """The board of alarms: when one begins, who acknowledges it, and when it ends."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from engine.core.clock import NS_PER_S
 from service.core.alarm_table import ALARMS

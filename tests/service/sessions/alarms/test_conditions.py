@@ -8,7 +8,7 @@ from engine.beam.beam_on import BeamOnState
 from engine.control.outputs import LiveView
 from engine.core.gate_state import GateState, HoldReason
 from service.core.alarm_table import ALARMS, NOT_ALARMS
-from service.sessions.alarms.conditions import gate_conditions, site_conditions
+from service.sessions.alarms.board import gate_conditions, site_conditions
 from tests.support.service.fake_engine import FakeRunning
 
 HOLDS = sorted(reason for reason in HoldReason if not reason.is_fault)

@@ -9,8 +9,7 @@ from engine.core.commands import Arm
 from engine.core.frames import Lost, LostReason
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow, PhaseWindow
-from service.core.schemas.coach_messages import LONGEST_COUNTDOWN_S
-from service.core.schemas.coaching import Coaching, PercentRange
+from service.core.schemas.coaching import LONGEST_COUNTDOWN_S, Coaching, PercentRange
 from service.sessions.coaching.guide import FOLLOWED, FREE, NOT_MEASURED, guide_frame
 from tests.support.gating.streams import LIMITS, Stream
 from tests.support.service.guided_patient import EXHALE, HOLD, LEARNED, LEVEL, GuidedPatient

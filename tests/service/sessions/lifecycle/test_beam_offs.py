@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from engine.beam.beam_on import KEPT_OFFS, BeamOff, BeamOnState
-from service.sessions.lifecycle.beam_offs import BeamOffs
+from service.sessions.lifecycle.counters import BeamOffs
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import FakeRunning
 from tests.support.waiting import eventually

@@ -11,7 +11,7 @@ from engine.motion.learning.patient_match import PatientMatchLimits
 from service.sessions.lifecycle.body_comparison import EarlierBody, compare_bodies, earlier_body
 from service.sessions.views.live import live_sample
 from service.storage.database.engine import Database
-from service.storage.database.retried_write import RetriedWriter
+from service.storage.database.queries import RetriedWriter
 from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.service.fake_engine import make_model

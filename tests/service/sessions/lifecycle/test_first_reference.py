@@ -9,11 +9,10 @@ import pytest
 from engine.core.breath import WHOLE, Breath
 from engine.core.commands import CorrectBaseline, SetReference
 from engine.core.errors import ReferenceDistanceError
-from engine.core.first_reference import NODES, FirstReference
-from engine.core.learning_events import LearningEvent, LearningEventKind
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.core.learning_status import LearningEvent, LearningEventKind
+from engine.core.reference import NODES, FirstReference, ReferenceDistance, SignalLevel
 from service.core.permissions import KEY_PERMISSIONS
-from service.sessions.views.reference import live_reference
+from service.sessions.views.position import live_reference
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.waiting import eventually
 

@@ -6,13 +6,12 @@ from datetime import timedelta
 import numpy as np
 import pytest
 
-from engine.control.position_state import PositionState, Signature
+from engine.control.position_sign_off import PositionState, Signature
 from engine.core.commands import SignPosition
 from engine.core.errors import PositionUncheckedError
-from engine.core.first_reference import NODES, FirstReference
-from engine.core.learning_events import LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.position_check import PositionCheck, PositionTolerance
-from engine.core.reference_proposal import ReferenceMoment
+from engine.core.reference import NODES, FirstReference, ReferenceMoment
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
 from tests.support.service.accounts import headers_of, open_login
 from tests.support.service.api_calls import act, audit_rows, make_session_body

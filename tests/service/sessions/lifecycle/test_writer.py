@@ -12,7 +12,7 @@ import pytest
 from engine.control.outputs import LoopStatus
 from engine.core.gate_state import GateState, HoldReason
 from service.sessions.lifecycle import writer
-from service.storage.samples import rows
+from service.storage.samples import layout
 from service.storage.samples.store import SampleStore
 from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
@@ -107,7 +107,7 @@ def test_a_writer_that_breaks_stops_the_engine_and_closes_the_session(client, se
         msg = "a bug"
         raise RuntimeError(msg)
 
-    monkeypatch.setattr(rows, "sample_values", broken)
+    monkeypatch.setattr(layout, "sample_values", broken)
     running.transition(GateState.HOLD, HoldReason.DWELL)
     running.frame()
     eventually(lambda: running.status.is_over)

@@ -16,10 +16,8 @@ from service.storage import audit
 from service.storage.audit import AuditRow
 from service.storage.database.engine import Database
 from service.storage.database.tables import SessionRow
-from service.storage.samples import parquet
-from service.storage.samples import store as shelves
-from service.storage.samples.check import check
-from service.storage.samples.register import registered
+from service.storage.samples import parquet, store as shelves
+from service.storage.samples.check import check, registered
 from tests.support.samples.records import HEAD, PERIOD_NS, SESSION, frames_of, record, write_stream
 from tests.support.samples.sessions import BEGUN, add_session
 

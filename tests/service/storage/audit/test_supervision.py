@@ -11,8 +11,7 @@ from sqlalchemy.exc import OperationalError
 from engine.core.clock import NS_PER_S, ManualClock
 from service.core.settings.settings import Settings
 from service.storage import audit
-from service.storage.audit import Breakage, Event
-from service.storage.audit import supervision as care_module
+from service.storage.audit import Breakage, Event, supervision as care_module
 from service.storage.audit.anchors import AnchorFile, note_restore
 from service.storage.audit.check import LOST_FILE, check_tail, check_whole
 from service.storage.audit.startup import changes, redacted_settings, settings_sha256

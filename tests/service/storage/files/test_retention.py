@@ -11,8 +11,16 @@ from sqlalchemy import select
 
 from service.core.settings.settings import Settings
 from service.storage.audit import AuditRow
-from service.storage.files.capacity import folder_bytes, session_bytes
-from service.storage.files.cleanup import AGAIN_S, EVERY_S, CleanupWorker, ended_sessions, holdings, remove_old
+from service.storage.files.cleanup import (
+    AGAIN_S,
+    EVERY_S,
+    CleanupWorker,
+    ended_sessions,
+    folder_bytes,
+    holdings,
+    remove_old,
+    session_bytes,
+)
 from tests.support.samples.sessions import BEGUN, add_session
 
 OLD, NEW, OPEN, STRAY = ("0" * 32, "1" * 32, "2" * 32, "3" * 32)
@@ -139,7 +147,7 @@ def test_without_room_on_the_disk_no_session_begins_and_the_problem_says_how_muc
 
 
 def test_a_quota_that_is_full_lets_no_session_begin(client, session_body, settings, monkeypatch):
-    monkeypatch.setattr("service.storage.files.capacity.folder_bytes", lambda _folder: 2**30)
+    monkeypatch.setattr("service.storage.files.cleanup.folder_bytes", lambda _folder: 2**30)
     assert client.post("/api/v1/sessions", json=session_body).status_code == 201
     object.__setattr__(settings, "data_quota_gb", 1.05)
     for path in ("stop",):
@@ -153,7 +161,7 @@ def _newest(client):
 
 
 def test_removable_files_are_removed_before_a_session_is_refused(settings, tmp_path, monkeypatch):
-    from service.storage.files.capacity import refuse_without_room
+    from service.storage.files.cleanup import refuse_without_room
 
     free = [0]
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=free[0]))

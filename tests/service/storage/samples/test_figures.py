@@ -6,7 +6,7 @@ import pytest
 
 from engine.core.gate_state import GateState
 from service.storage.samples.figures import Figures
-from service.storage.samples.rows import batch_of
+from service.storage.samples.layout import batch_of
 from tests.support.samples.records import HEAD, PERIOD_NS, record
 
 

@@ -8,7 +8,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from engine.core.breath import WHOLE
 from engine.core.gate_state import GateState, HoldReason
-from service.core.schemas.coach_messages import COACH_MESSAGE, CoachGuide
+from service.core.schemas.coaching import COACH_MESSAGE, CoachGuide
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.guided_patient import LEARNED
 

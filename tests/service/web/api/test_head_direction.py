@@ -4,15 +4,13 @@ import pytest
 
 from engine.core.commands import Arm
 from engine.core.errors import HeadDirectionError
-from engine.core.head_direction import HeadDirection
+from engine.core.signals import HeadDirection
 from engine.motion.settings import PipelineSettings
 from service.core.errors import BoundError
 from service.core.schemas.sessions import Regions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.site_rules.head_direction import check_head_direction, head_of
-from service.engine_host.site_rules.measuring import measuring_with
-from service.engine_host.site_rules.window_limits import gate_limits
+from service.engine_host.site_rules.window_limits import check_head_direction, gate_limits, head_of, measuring_with
 from tests.support.service.api_calls import WINDOW, act, audit_rows
 
 URL = "/api/v1/sessions"

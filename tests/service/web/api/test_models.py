@@ -8,9 +8,8 @@ from sqlalchemy import text
 
 from engine.core.commands import ApplyModel, Retrain
 from engine.core.errors import CommandRefusedError, InvalidValueError, ModelMismatchError
-from engine.core.learning_events import LearningEvent, LearningEventKind
-from engine.core.patient_match import PatientMatch
-from engine.core.provenance import ModelOrigin
+from engine.core.learning_status import LearningEvent, LearningEventKind, PatientMatch
+from engine.core.motion_model import ModelOrigin
 from engine.motion.learning.model_file import load_model, save_model
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
 from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings

@@ -6,10 +6,9 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import SetReference
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import PositionTolerance
-from engine.core.reference_distance import ReferenceDistance, SignalLevel
-from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from engine.core.reference import ReferenceDistance, ReferenceMoment, ReferenceProposal, SignalLevel
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
-from service.sessions.views.reference import proposal_views
+from service.sessions.views.position import proposal_views
 from tests.support.service.api_calls import audit_rows
 from tests.support.service.clinical_site import clinical_settings
 

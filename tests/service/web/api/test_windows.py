@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.ranges import LearnedRange
+from engine.core.signals import LearnedRange
 from engine.gating.windows import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -19,9 +19,14 @@ from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.measuring import measuring_with
-from service.engine_host.site_rules.window_limits import breath_signals, check_window, gate_limits, gate_window
-from service.sessions.views.window import live_window
+from service.engine_host.site_rules.window_limits import (
+    breath_signals,
+    check_window,
+    gate_limits,
+    gate_window,
+    measuring_with,
+)
+from service.sessions.views.breath import live_window
 from tests.support.service.api_calls import WINDOW, act, make_session_body
 from tests.support.service.clinical_site import clinical_settings
 from tests.support.service.fake_engine import make_measurement

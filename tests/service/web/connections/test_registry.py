@@ -4,8 +4,7 @@ import logging
 
 import pytest
 
-from service.core.settings.connection_limits import CONNECTION_BOUNDS, LIMIT_NAMES, ConnectionLimits
-from service.core.settings.groups import ConnectionSettings
+from service.core.settings.groups import CONNECTION_BOUNDS, LIMIT_NAMES, ConnectionLimits, ConnectionSettings
 from service.core.settings.settings import Settings
 from service.web.connections.refusals import LOG_PERIOD_S, RefusalCount
 from service.web.connections.registry import ConnectionRegistry

@@ -4,8 +4,7 @@ import anyio
 import pytest
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from service.web.stream.encoding import Shape
-from service.web.stream.query import Encoding, Form
+from service.web.stream.encoding import Encoding, Form, Shape
 from service.web.stream.transports import SocketConnection
 
 CLOSED = "Unexpected ASGI message 'websocket.send', after sending 'websocket.close'."

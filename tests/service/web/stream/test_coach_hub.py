@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from engine.gating.windows import HoldStage
-from service.core.schemas.coach_messages import CoachGuide, CoachWait
+from service.core.schemas.coaching import CoachGuide, CoachWait
 from service.sessions.coaching.board import CoachingBoard
 from service.web.stream.coach_hub import MAX_CLIENTS, WAIT_S, CoachHub
 from service.web.stream.hub import CLIENT_CHECK_S, LOGIN_CHECK_S

@@ -9,16 +9,19 @@ from typer.testing import CliRunner
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
 from engine.lab.evaluation.breathing import bench
-from engine.lab.evaluation.breathing.bench import FIRST_SEED, ScoredSignal, check_plan, plan
-from engine.lab.evaluation.breathing.recorded import RpmConventions, compare_flags, monitor_trace
-from engine.lab.evaluation.breathing.scores import (
+from engine.lab.evaluation.breathing.bench import (
     AFTER_S,
+    FIRST_SEED,
     Finding,
+    ScoredSignal,
+    check_plan,
     false_alarms,
     match_episodes,
     phase_errors,
+    plan,
     wilson,
 )
+from engine.lab.evaluation.breathing.recorded import RpmConventions, compare_flags, monitor_trace
 from engine.lab.evaluation.breathing.tables import tables_of
 from engine.lab.evaluation.breathing.trials import (
     MonitorOutput,

@@ -7,9 +7,15 @@ import pytest
 from typer.testing import CliRunner
 
 from engine.core.gate_state import HoldReason
-from engine.lab.evaluation.gating.breathing_rules import EXHALE, WINDOWS, gate_course, gate_trace
-from engine.lab.evaluation.gating.rule_tables import recorded_table, stopped_table
-from engine.lab.evaluation.gating.rule_trials import TRIALS_EACH, StoppedTrial
+from engine.lab.evaluation.gating.breathing_rules import (
+    EXHALE,
+    TRIALS_EACH,
+    WINDOWS,
+    StoppedTrial,
+    gate_course,
+    gate_trace,
+)
+from engine.lab.evaluation.gating.tables import recorded_table, stopped_table
 from service.cli import app
 from tests.support.repository import ROOT
 

@@ -10,9 +10,16 @@ from typer.testing import CliRunner
 from engine.gating.windows import AmplitudeWindow, PhaseWindow
 from engine.lab.evaluation.gating import timing as gate_timing
 from engine.lab.evaluation.gating.tables import gate_table, mark_ms
-from engine.lab.evaluation.gating.timing import DWELL_MS, EdgeTiming, _compare, _real_edges, _TrueMotion, plan
-from engine.lab.evaluation.gating.true_phase import true_phase_percent
-from engine.offline.gate_edges import Edge, TimedFrame
+from engine.lab.evaluation.gating.timing import (
+    DWELL_MS,
+    EdgeTiming,
+    _compare,
+    _real_edges,
+    _TrueMotion,
+    plan,
+    true_phase_percent,
+)
+from engine.offline.offline_gate import Edge, TimedFrame
 from service.cli import app
 from tests.support.gating.streams import measured, motion_of
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.interpolate import make_interp_spline
 
 from engine.lab.evaluation.instruments.flow_file import FlowFileError, read_flow

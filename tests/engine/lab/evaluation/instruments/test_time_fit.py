@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.lab.evaluation.instruments.time_fit import fit_at
+from engine.lab.evaluation.instruments.agreement import fit_at
 
 PERIOD_US = 33_367
 TIMES_US = 1_000 + PERIOD_US * np.arange(90)

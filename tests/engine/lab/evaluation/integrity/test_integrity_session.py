@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.lab.evaluation.integrity.bench import check_plan
+from engine.lab.evaluation.integrity.bench import check_plan, verdict
 from engine.lab.evaluation.integrity.cases import HONEST_S, cases
 from engine.lab.evaluation.integrity.session import FPS, SIGNALS, learn, run
-from engine.lab.evaluation.integrity.tables import verdict
 
 pytestmark = pytest.mark.slow
 

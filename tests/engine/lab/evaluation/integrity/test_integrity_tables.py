@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from engine.lab.evaluation.integrity.bench import integrity_table, verdict
 from engine.lab.evaluation.integrity.cases import Case, cases
 from engine.lab.evaluation.integrity.session import FPS, SIGNALS, Session
-from engine.lab.evaluation.integrity.tables import integrity_table, verdict
 from engine.lab.phantom.falsifications import Falsification
 
 FRAMES = 60

@@ -9,14 +9,15 @@ from engine.core.frames import ROI_COLUMNS, ROI_ROWS
 from engine.lab.evaluation.methods.plain import (
     Aligner,
     PlainReading,
+    PlainVolume,
     cut_roi,
     fill_zeros,
     find_dots,
     principal_components,
+    prism_volume_l,
     smooth,
     unfiltered,
 )
-from engine.lab.evaluation.methods.plain_volume import PlainVolume, prism_volume_l
 from engine.lab.phantom.builds import find_build
 from engine.lab.phantom.rig import build_rig
 from tests.support.motion import small_scene

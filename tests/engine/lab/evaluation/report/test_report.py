@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from engine.lab.evaluation.report.canvas import draw
+from engine.lab.evaluation.report.more_figures import draw
 from engine.lab.evaluation.report.report import write_report
 from engine.lab.evaluation.runs import datasets
-from engine.lab.evaluation.runs.scored_run import score_run
+from engine.lab.evaluation.runs.scores import score_run
 from engine.lab.evaluation.table import Table
 from service.cli.evaluate.command import evaluate
 from tests.support.evaluation.outcomes import N, breath, measured_track, outcome

@@ -18,7 +18,7 @@ from engine.lab.evaluation.runs.datasets import (
     quick_plan,
     write_recipe,
 )
-from engine.lab.evaluation.runs.scored_run import score_run
+from engine.lab.evaluation.runs.scores import score_run
 from tests.support.evaluation.small_bench import SETTINGS, files_under, small_run, tiny_run
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]

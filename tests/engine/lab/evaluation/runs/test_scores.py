@@ -7,8 +7,7 @@ import pytest
 
 from engine.lab.evaluation.methods.outcome import LOST, MEASURING, TRAINING, Outcome, Track, cell_means
 from engine.lab.evaluation.runs.marks import CELLS_MM, Mark, marks_table, reach
-from engine.lab.evaluation.runs.scored_run import score_run
-from engine.lab.evaluation.runs.scores import assess_trust, correlation, score_method, scored_frames
+from engine.lab.evaluation.runs.scores import assess_trust, correlation, score_method, score_run, scored_frames
 from engine.lab.evaluation.table import Table
 from tests.support.evaluation.outcomes import N, breath, measured_track, outcome
 from tests.support.evaluation.small_bench import small_run
