@@ -81,6 +81,22 @@ def imported(files: Mapping[str, bytes]) -> str:
     return str(len(found))
 
 
+def walked(walk: str) -> Callable[[Mapping[str, bytes]], str]:
+    """Return a measure: the distinct files of a walk of the architecture page."""
+    block = re.compile(rf"<!-- (walk|helpers): {walk} -->\n(.*?)<!-- end -->", re.DOTALL)
+
+    def count(files: Mapping[str, bytes]) -> str:
+        found: dict[str, set[str]] = {"walk": set(), "helpers": set()}
+        for kind, text in block.findall(files["docs/1-start/architecture.md"].decode()):
+            found[kind] |= set(re.findall(r"^\d+\. `([\w/]+\.py)`", text, re.MULTILINE))
+            for folder, names in re.findall(r"^- `([\w/]+/)`: (.+)$", text, re.MULTILINE):
+                found[kind] |= {folder + name for name in re.findall(r"`(\w+\.py)`", names)}
+        helpers = len(found["helpers"] - found["walk"])
+        return f"{len(found['walk'])}" + (f", with helpers {len(found['walk']) + helpers}" if helpers else "")
+
+    return count
+
+
 def large_classes(files: Mapping[str, bytes]) -> str:
     """Name the engine's classes with more than 20 methods."""
     found = []
@@ -97,6 +113,8 @@ ROWS: dict[str, Callable[[Mapping[str, bytes]], str]] = {
     "product, lines of C": lines(COMPILED),
     "product modules, median lines": modules,
     "engine modules that the service imports": imported,
+    "files that decide or forward, a frame": walked("a frame"),
+    "files that decide or forward, an arm call": walked("an arm call"),
     "engine classes over 20 methods": large_classes,
     "page, lines": lines(PAGE),
     "tests, Python lines": lines(TESTS),
