@@ -10,8 +10,7 @@ from engine.motion.learning.reference_transfer import RecentFrames
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.regions import WIDE
-from engine.motion.tracking.breath_tracker import BreathTracker
-from engine.motion.tracking.past_measurement import motion_from
+from engine.motion.tracking.breath_tracker import BreathTracker, motion_from
 
 
 class FollowedMotion:

@@ -11,7 +11,7 @@ from engine.motion.learning.tasks import LearningStages
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.projection import project
 from engine.motion.stages.surface import node_surface_mm
-from engine.motion.tracking.past_measurement import PastMeasurement
+from engine.motion.tracking.breath_tracker import PastMeasurement
 from engine.motion.tracking.region_tracker import coverage_lost
 
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP

@@ -1,6 +1,8 @@
 """A site's QA settings: its own bounds, and the baseline of its camera's position.
 
 A site may tighten a bound without limit and widen it up to the check's ``most``.
+
+QA figures without a value: the checks of a stage that could not be measured.
 """
 
 from collections.abc import Mapping
@@ -9,8 +11,8 @@ from types import MappingProxyType
 
 from engine.core.bounds import check_number
 from engine.core.errors import InvalidValueError
-from engine.qa.checks import check_of
-from engine.qa.results import QaBound, QaCheck
+from engine.qa.checks import CHECKS, check_of
+from engine.qa.results import QaBound, QaCheck, QaFigure, QaNeed
 
 BASELINE_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -64,3 +66,9 @@ def check_bound(check: QaCheck, bound: QaBound) -> None:
     check_number(f"{check.code}.warn", bound.warn, 0.0, check.most)
     if bound.warn > bound.fail:
         raise InvalidValueError(f"{check.code}.warn", bound.warn, f"at most {check.code}.fail ({bound.fail:g})")
+
+
+def not_measured(need: QaNeed, reason: str) -> list[QaFigure]:
+    """Return one figure with ``value=None`` and the reason as its detail for every check of that stage."""
+    checks = (check for check in CHECKS if check.needs is need and not check.is_optional)
+    return [QaFigure(code=check.code, value=None, detail=reason) for check in checks]

@@ -16,9 +16,9 @@ from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import BeamLineError, TidegateError
 from engine.core.gate_state import HoldReason
+from engine.qa.bounds import not_measured
 from engine.qa.inputs import BeamInput
 from engine.qa.results import QaFigure, QaNeed
-from engine.qa.unmeasured import not_measured
 
 WATCHED_NS = 60 * NS_PER_MS
 """How long a latched line is watched to see that it stays off."""

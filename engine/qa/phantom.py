@@ -25,12 +25,12 @@ from engine.motion.learning.learner import Learner
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.offline.offline_gate import Edge, TimedFrame, gate_edges, time_frames
+from engine.qa.bounds import not_measured
 from engine.qa.inputs import PhantomInput
 from engine.qa.motion import MotionAgreement, commanded_zero_mm, compare_motion, longest_outside_s
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
 from engine.qa.sine import Estimate, GateTiming, find_cycles, time_gate_by_sines
-from engine.qa.unmeasured import not_measured
 
 Grid = npt.NDArray[np.float64]
 MS_PER_S = 1e3

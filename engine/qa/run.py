@@ -15,7 +15,7 @@ from engine.calibration.procedures.flat_plate import PlateReading, read_plate_fr
 from engine.calibration.quantisation import DEPTH_VALUES, DepthSteps, count_readings, find_steps
 from engine.core.errors import TidegateError
 from engine.core.frames import DepthImage, RgbdFrame
-from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.bounds import QaBaseline, QaBounds, not_measured
 from engine.qa.checks import checks_of, needs_of
 from engine.qa.drill import DRILLS, drill_line
 from engine.qa.inputs import SECONDS_BOUNDS, PlateInput, QaInputs
@@ -23,7 +23,6 @@ from engine.qa.latency.measure import measure_latency
 from engine.qa.phantom import measure_phantom
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaKind, QaNeed, QaReport, QaResult, QaSeries, judge
-from engine.qa.unmeasured import not_measured
 
 # Camera QA on a flat plate: distance, angles, noise, missing pixels, flatness, drift and warm-up.
 

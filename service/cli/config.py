@@ -12,7 +12,7 @@ from service.cli.terminal import refused
 from service.core.settings.config_file import ENVIRONMENT_ONLY, SettingsError
 from service.core.settings.names import place_of, setting_name
 from service.core.settings.settings import Settings, load_settings, sources
-from service.storage.audit.startup import redacted_settings
+from service.storage.audit.check import redacted_settings
 
 DEFAULT = "default"
 WIDTH = 44

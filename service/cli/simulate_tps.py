@@ -81,7 +81,7 @@ def simulate_tps(
     Exit code 0 when every beam was delivered and every check passed, 1 when not, 2 when the run could not start.
     """
     from service.client import ClientError
-    from service.planning.simulated_tps.fault_injection import FaultInjectingClient
+    from service.planning.simulated_tps.delivery import FaultInjectingClient
     from service.planning.simulated_tps.report import FractionReport, fraction_table, write_report
 
     try:
@@ -126,7 +126,7 @@ def _client(
     url: str, key_file: Path | None, operator: str, ca_file: Path | None, chaos_seed: int | None
 ) -> "TidegateClient":
     from service.client import TidegateClient
-    from service.planning.simulated_tps.fault_injection import FaultInjectingClient
+    from service.planning.simulated_tps.delivery import FaultInjectingClient
 
     key = secret_from(key_file, KEY_VARIABLE)
     ca = None if ca_file is None else str(ca_file)

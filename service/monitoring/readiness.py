@@ -16,12 +16,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.capture.drivers import is_any_installed, missing_text
 from engine.core.clock import NS_PER_MS, Clock, MonotonicClock
 from service.core.errors import CameraLatencyError, QaOverdueError
-from service.core.schemas.readiness import Readiness, ReadinessCode, ReadinessReason
+from service.core.schemas.base import Readiness, ReadinessCode, ReadinessReason
 from service.core.settings.settings import Settings
 from service.monitoring.certificate import ServedCertificate
 from service.qa.arming_requirement import refuse_without_qa
 from service.qa.latency.requirement import refuse_unmeasured_site
-from service.storage.audit.startup import clock_went_back
+from service.storage.audit.check import clock_went_back
 from service.storage.database.engine import Database
 
 MIB = 1024 * 1024

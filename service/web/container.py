@@ -28,9 +28,8 @@ from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.lifecycle.start import SessionStarter, writer_connections
 from service.sessions.records.arming import ArmingSummaries
-from service.sessions.records.calibrations import CalibrationRepository, RecordingList
+from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
-from service.sessions.records.models import ModelRepository
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions

@@ -27,9 +27,8 @@ from service.sessions.alarms.board import AlarmBoard
 from service.sessions.coaching.board import CoachingBoard
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.records.arming import ArmingSummaries
-from service.sessions.records.calibrations import CalibrationRepository, RecordingList
+from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
-from service.sessions.records.models import ModelRepository
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import chain

@@ -26,7 +26,7 @@ def test_each_section_about_a_process_that_stands_still_gives_the_receiver_s_tim
     assert re.search(rf"(receiver|contact).*{WITHIN}", _text(name))
 
 
-def test_no_rule_says_that_the_lease_of_a_killed_process_ends_in_the_line():
+def test_no_rule_states_that_the_lease_of_a_killed_process_ends_in_the_line():
     assert not re.search(r"expires? in the line|lease in the line", SAFETY + HAZARDS)
     assert "kept in the engine's process" in _text("2")
 

@@ -27,16 +27,16 @@ from engine.gating.windows.conditions import (
     interrupted,
     left,
 )
-from engine.gating.windows.joined import (
+from engine.gating.windows.phase import (
     MAX_CONDITIONS,
     Condition,
     GateWindow,
     Join,
     JoinedWindow,
+    PhaseWindow,
     initial_states,
     is_held,
 )
-from engine.gating.windows.phase import PhaseWindow
 
 __all__ = [
     "HOLD_BOUNDS",

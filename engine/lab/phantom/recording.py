@@ -29,9 +29,8 @@ from engine.core.bounds import check_number, check_whole_number
 from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure, find_build
-from engine.lab.phantom.costal import CostalStickers
 from engine.lab.phantom.falsifications import Falsification
-from engine.lab.phantom.laser import Flow, LaserTruth, breathe_through, hang_laser, truth_columns
+from engine.lab.phantom.laser import CostalStickers, Flow, LaserTruth, breathe_through, hang_laser, truth_columns
 from engine.lab.phantom.scenarios import check_scenario
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.sensor import USUAL, find_sensor

@@ -16,8 +16,7 @@ from engine.lab.phantom import falsifications, occluders
 from engine.lab.phantom.anatomy import BODY_HALF_MM, TRUNK_HALF_MM, Anatomy
 from engine.lab.phantom.body import Map, blur, sample_body
 from engine.lab.phantom.color import ColorCamera, blur_lens, paint_body, paint_room, paint_trunk, stick
-from engine.lab.phantom.costal import CostalStickers
-from engine.lab.phantom.laser import LaserLight, hang_laser
+from engine.lab.phantom.laser import CostalStickers, LaserLight, hang_laser
 from engine.lab.phantom.rig import HEIGHT_PX, WIDTH_PX, chain, couch_from_body
 from engine.lab.phantom.scenarios import Pose
 from engine.lab.phantom.scene import Scene, Script

@@ -10,14 +10,13 @@ order are added for that. What is left then is an edge.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, RoiDepth, frozen
 from engine.core.geometry import least_squares
-from engine.core.motion_model import MotionModel
 
 STRIDE_PX = 4
 CELL_ROWS, CELL_COLUMNS = 8, 10
@@ -175,7 +174,23 @@ class LearnedShapes(NamedTuple):
     shapes: BreathingShapes | None
 
 
-def shapes_of(model: MotionModel) -> BreathingShapes:
+class StoredModes(Protocol):
+    """What a stored model gives to a session that has learned no shapes of breathing itself."""
+
+    @property
+    def components(self) -> FloatArray:
+        """The ways it moves, on the region's grid, shape (k, 350, 200)."""
+
+    @property
+    def scores_mm(self) -> FloatArray | None:
+        """Its training frames in terms of them, shape (frames, k); None where they were not kept."""
+
+    @property
+    def noise_mm(self) -> float:
+        """The noise of a reading [mm]."""
+
+
+def shapes_of(model: StoredModes) -> BreathingShapes:
     """Return the shapes of a stored model's first components, for a session that learned none itself."""
     found = [_means(one[::STRIDE_PX, ::STRIDE_PX], _ALL) for one in model.components[:BREATHING_SHAPES]]
     shapes = np.zeros((BREATHING_SHAPES, CELLS))

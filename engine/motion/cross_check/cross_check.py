@@ -30,7 +30,6 @@ from engine.core.frames import (
     frozen,
 )
 from engine.core.geometry import RigidTransform
-from engine.core.motion_model import MotionModel
 from engine.motion.cross_check.appearance import (
     DARK,
     LEAST_DARK_CELLS,
@@ -49,6 +48,7 @@ from engine.motion.cross_check.cell_surface import (
     BreathingShapes,
     GatheredSurfaces,
     LearnedShapes,
+    StoredModes,
     SurfaceChange,
     cell_means,
     shapes_of,
@@ -126,7 +126,7 @@ class CrossCheck:
         self._gathered_mm = np.empty((MOST_SURFACES, CELLS))
         self._gathered = self._gathered_total = 0
         self.shapes: BreathingShapes | None = None
-        self._model: MotionModel | None = None
+        self._model: StoredModes | None = None
         self._reference: _Reference | None = None
         self._disagreements: dict[str, Lost] = {}
         self._settled_mm = 0.0
@@ -146,7 +146,7 @@ class CrossCheck:
         for number, one in enumerate(self._recent):
             self._recent[number] = one._replace(scene_mm=_UNKNOWN_MM)  # against the scene of before
 
-    def use(self, learned: tuple[MotionModel | None, BreathingShapes | None]) -> None:
+    def use(self, learned: tuple[StoredModes | None, BreathingShapes | None]) -> None:
         """Use what an earlier pass over the same recording has learned."""
         self._model, self.shapes = learned
 
@@ -191,7 +191,7 @@ class CrossCheck:
             )
         )
 
-    def lost(self, model: MotionModel, *, is_reference_due: bool, learned: object = None) -> Lost | None:
+    def lost(self, model: StoredModes, *, is_reference_due: bool, learned: object = None) -> Lost | None:
         """Return the loss if surface or colour disagree with the reference; the first frame of a reference agrees.
 
         ``learned`` are the `LearnedShapes` of the job that fitted the model, if any.
@@ -214,7 +214,7 @@ class CrossCheck:
             self._forget_changes()
         return self._compare(self._reference, cells_mm, chroma)
 
-    def _learn_shapes(self, model: MotionModel, ahead: LearnedShapes | None) -> None:
+    def _learn_shapes(self, model: StoredModes, ahead: LearnedShapes | None) -> None:
         """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
         gathered = self.gathered
         if gathered is not None or self.shapes is None:

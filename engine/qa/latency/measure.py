@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from engine.capture.source import DepthSource, SourceDescription
 from engine.core.bounds import check_number
 from engine.core.errors import CameraMismatchError, TidegateError
+from engine.qa.bounds import not_measured
 from engine.qa.latency.captured import CameraLatency, FrameTimes, PictureLog, TimeLog
 from engine.qa.latency.light_driver import Light
 from engine.qa.latency.light_timing import OUTPUT_BOUNDS_MS, latency_by_light
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
-from engine.qa.unmeasured import not_measured
 
 SECONDS_BOUNDS = (30.0, 120.0)
 LEAD_S = 3.0

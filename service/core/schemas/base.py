@@ -2,12 +2,15 @@
 
 Problems are those of RFC 9457. A number that could not be measured leaves the service as None, never as NaN, infinity
 or a magic number.
+
+Answers of `/healthz` and `/readyz`: stable codes for machines, sentences for people.
 """
 
+import enum
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 
@@ -85,3 +88,46 @@ class Problem(Answer):
     errors: list[BrokenBound] | None = Field(
         default=None, description="All values outside their bounds, starting with the one above; at most 20"
     )
+
+
+class ReadinessCode(enum.StrEnum):
+    """Stable codes of what prevents sessions, now or soon."""
+
+    AUDIT_TROUBLE = "audit_trouble"
+    CAMERA_LATENCY = "camera_latency"
+    CAMERA_RUNTIME_MISSING = "camera_runtime_missing"
+    CERTIFICATE_ENDED = "certificate_ended"
+    CERTIFICATE_ENDS_SOON = "certificate_ends_soon"
+    CERTIFICATE_UNREADABLE = "certificate_unreadable"
+    CLOCK_BEHIND = "clock_behind"
+    DATABASE_UNWRITABLE = "database_unwritable"
+    DISK_LOW = "disk_low"
+    ENGINE_MISSING = "engine_missing"
+    NOT_KNOWN = "not_known"
+    QA_OVERDUE = "qa_overdue"
+    RECORDINGS_MISSING = "recordings_missing"
+    SERVICE_STOPPING = "service_stopping"
+    THREAD_ENDED = "thread_ended"
+
+
+class ReadinessReason(Answer):
+    """One problem or warning."""
+
+    code: ReadinessCode = Field(examples=[ReadinessCode.DISK_LOW])
+    detail: str = Field(examples=["120 MiB of disk space are free, 200 MiB are needed"])
+
+
+class Readiness(Answer):
+    """Whether a session can run, and what prevents it."""
+
+    is_ready: bool
+    not_ready: list[str] = Field(description="The sentences of all reasons")
+    reasons: list[ReadinessReason] = Field(description="Problems that prevent a session")
+    warnings: list[ReadinessReason] = Field(description="Warnings that do not prevent a session")
+    checked_at: AwareDatetime = Field(description="Time of the check; at most a few seconds ago")
+
+
+class Health(Answer):
+    """Liveness of the process; public, so it contains no details."""
+
+    status: Literal["ok"]

@@ -19,8 +19,15 @@ from service.core.errors import EngineProcessError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.process.channels import ChannelClosedError
-from service.engine_host.process.child_process import ChildProcess, start_child
-from service.engine_host.process.messages import CameraAnswer, ListDevices, Prepare, ReadRegistration, Ready
+from service.engine_host.process.messages import (
+    CameraAnswer,
+    ChildProcess,
+    ListDevices,
+    Prepare,
+    ReadRegistration,
+    Ready,
+    start_child,
+)
 from service.engine_host.process.remote_engine import RemoteEngine, begin_session, cause_of
 from service.engine_host.roles import RunningEngine, SessionPlan
 

@@ -36,8 +36,8 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningEvent
 from service.core.errors import EngineProcessError
 from service.engine_host.process.channels import SLOTS, ChannelClosedError
-from service.engine_host.process.child_process import ChildProcess
 from service.engine_host.process.messages import (
+    ChildProcess,
     CommandMessage,
     CommandResult,
     EngineUpdate,

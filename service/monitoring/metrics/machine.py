@@ -19,7 +19,7 @@ from engine.core.compiled import frame_path
 from service.access.login import lockout
 from service.access.service import AccessService
 from service.core.logging.nonblocking import dropped_lines
-from service.core.schemas.readiness import Readiness, ReadinessCode
+from service.core.schemas.base import Readiness, ReadinessCode
 from service.monitoring.certificate import ServedCertificate
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database

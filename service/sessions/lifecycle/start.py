@@ -29,7 +29,7 @@ from service.sessions.lifecycle.writer import SessionWriter, WriterSettings
 from service.sessions.records.sessions import SOURCE, head_of_row
 from service.storage import audit
 from service.storage.audit import Event
-from service.storage.audit.startup import redacted_settings, settings_sha256
+from service.storage.audit.check import redacted_settings, settings_sha256
 from service.storage.database import queries
 from service.storage.database.base import TimeAnchor, utc_text
 from service.storage.database.engine import Database

@@ -16,7 +16,7 @@ from service.core.schemas.sessions import SessionDetail
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import RunningSession
-from service.sessions.records.models import ModelRepository
+from service.sessions.records.calibrations import ModelRepository
 from service.sessions.records.sessions import SessionRepository
 from service.storage.database import queries
 from service.storage.database.engine import Database

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 from engine.control import Entry, JournalFormatError, JournalHeader, RecoveredJournal, boot_id, read_journal
 from engine.core.errors import TidegateError
-from service.engine_host.orphaned_processes import end_engines_holding
+from service.engine_host.equipment import end_engines_holding
 from service.sessions.records.audit_events import transition_event
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event

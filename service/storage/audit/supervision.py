@@ -11,12 +11,11 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.core.clock import NS_PER_MS, NS_PER_S, Clock, MonotonicClock
 from service.core.periodic import PeriodicWorker
 from service.core.settings.groups import AuditSettings
-from service.storage.audit import startup as start
+from service.storage.audit import check as start
 from service.storage.audit.anchors import AnchorFile, AnchorKind
 from service.storage.audit.chain import SYSTEM, Event
-from service.storage.audit.check import check_tail
+from service.storage.audit.check import check_tail, clock_event
 from service.storage.audit.log_file import AuditLogFile
-from service.storage.audit.startup import clock_event
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow

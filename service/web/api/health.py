@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter, Response
 
-from service.core.schemas.readiness import Health, Readiness
+from service.core.schemas.base import Health, Readiness
 from service.web import dependencies
 
 router = APIRouter(tags=["health"])

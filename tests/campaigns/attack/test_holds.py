@@ -73,7 +73,7 @@ def test_a_body_that_comes_after_the_answer_is_no_request_and_the_next_one_is_an
         assert b'"ok"' in answer(raw)
 
 
-def test_after_a_body_that_came_late_nothing_is_said_that_was_not_asked_for(attacked):
+def test_after_a_body_that_came_late_nothing_is_stated_that_was_not_asked_for(attacked):
     with connection(attacked.port) as raw:
         raw.sendall(head(attacked, LATE))
         assert b"200 OK" in answer(raw)

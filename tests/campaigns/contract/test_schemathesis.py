@@ -26,7 +26,7 @@ def campaign(tmp_path_factory):
         yield campaign
 
 
-def test_no_call_fails_inside_or_is_answered_otherwise_than_the_contract_says(campaign):
+def test_no_call_fails_inside_or_is_answered_otherwise_than_the_contract_states(campaign):
     assert campaign.summary.failures == {}, campaign.summary.text()
 
 

@@ -9,7 +9,7 @@ import resource
 import signal
 import sys
 
-from service.engine_host.process import child_process
+from service.engine_host.process import messages
 from tests.campaigns.faults import engine_program
 from tests.campaigns.faults.fault_injector import let_in
 
@@ -24,7 +24,7 @@ def main() -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(MOST_FILES, hard), hard))
     let_in(path)
-    child_process.MODULE = engine_program.__name__
+    messages.MODULE = engine_program.__name__
     os.environ[engine_program.PATH_NAME] = path
     from service.cli import main as tidegate
 

@@ -66,7 +66,7 @@ def bench(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=[kind.code for kind in KINDS])
-def test_the_line_is_off_in_time_the_audit_says_why_and_the_beam_comes_back_as_promised(bench, kind):
+def test_the_line_is_off_in_time_the_audit_states_why_and_the_beam_comes_back_as_promised(bench, kind):
     outcomes = []
     while not outcomes or (outcomes[-1].is_red and len(outcomes) < TRIES):
         outcomes.append(bench.try_kind(kind, seed=0))

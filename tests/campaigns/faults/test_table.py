@@ -141,7 +141,7 @@ def test_what_is_done_is_not_done_again_and_the_rest_in_turns_of_ten():
     assert turns(chosen(["killed"]), range(1, 16), done) == []
 
 
-def test_there_are_more_kinds_than_were_asked_for_and_each_says_what_it_promises():
+def test_there_are_more_kinds_than_were_asked_for_and_each_states_what_it_promises():
     kinds = all_kinds()
     assert len(kinds) >= 25
     for kind in kinds:
@@ -160,7 +160,7 @@ def test_no_unsafe_trial_bounds_their_share_by_the_rule_of_three():
     assert bound_text(1, 600) == bound_text(0, 0) == ""
 
 
-def test_the_time_of_forty_seeds_is_said_from_the_trials_done():
+def test_the_time_of_forty_seeds_is_stated_from_the_trials_done():
     done = [replace(one, seconds=9.0) for one in GOOD]
     assert duration_text(done, 2) == "9.0 s a trial: 40 seeds of these 2 kinds take 0.1 h with 2 jobs"
     assert duration_text([], 2) == "no trial"

@@ -59,7 +59,7 @@ def test_what_is_no_documented_refusal_comes_out_of_a_harness():
 
 
 @pytest.mark.parametrize("words", ["", "a" * 3000])
-def test_a_refusal_that_says_nothing_or_too_much_is_a_finding(words):
+def test_a_refusal_that_states_nothing_or_too_much_is_a_finding(words):
     with pytest.raises(AssertionError):
         check_refusal(ValueError(words))
 
@@ -69,6 +69,6 @@ def test_a_refusal_that_cannot_be_written_down_is_a_finding():
         check_refusal(InvalidValueError("\ud800", 1, "x"))
 
 
-def test_the_page_tells_what_recorded_runs_did_as_the_command_prints_it():
+def test_the_page_reports_what_recorded_runs_did_as_the_command_prints_it():
     page = (ROOT / "docs/3-operate/security.md").read_text(encoding="utf-8")
     assert record.table() in page, "python -m tests.campaigns.fuzz --report"

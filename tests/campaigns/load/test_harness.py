@@ -72,7 +72,7 @@ def test_every_kind_of_request_is_answered(found):
     assert not [name for name in found["answers"] if not name.endswith((" 200", " 204"))]
 
 
-def test_a_run_that_is_asked_to_end_tells_what_it_has(quickly_learned):
+def test_a_run_that_is_asked_to_end_reports_what_it_has(quickly_learned):
     ending, steps, last = Ending(), [], "round 2 of 2: quiet"
 
     def on_step(step: str) -> None:
@@ -200,5 +200,5 @@ def session(
     )
 
 
-def test_a_load_says_how_long_its_recording_has_to_be():
+def test_a_load_states_how_long_its_recording_has_to_be():
     assert replace(SMALL, rounds=3).seconds - SMALL.seconds == pytest.approx(2 * (5.0 + 40.0))

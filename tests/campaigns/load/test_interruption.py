@@ -54,7 +54,7 @@ def test_signals_are_given_back():
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
-def test_a_run_that_has_measured_nothing_says_so(monkeypatch, capsys):
+def test_a_run_that_has_measured_nothing_states_it(monkeypatch, capsys):
     monkeypatch.setattr(command, "run", lambda _load, _tell, _ending: signal_oneself(signal.SIGINT))
     assert command.main([]) == command.INTERRUPTED
     assert "before there were figures" in capsys.readouterr().err

@@ -61,7 +61,7 @@ def test_messages_are_counted_however_they_are_cut(size):
     assert sum(seen.ages) == 4
 
 
-def test_numbers_left_out_are_gaps_and_those_that_go_back_are_said():
+def test_numbers_left_out_are_gaps_and_those_that_go_back_are_stated():
     seen = watched(*(sent(sample(number, number)) for number in (5, 6, 9, 8))).seen
     assert (seen.gaps, seen.lost_to_gaps, seen.backwards) == (1, 2, 1)
 
@@ -96,7 +96,7 @@ def test_events_are_counted_too():
     assert seen.samples == 1
 
 
-def test_a_client_that_is_refused_says_with_what():
+def test_a_client_that_is_refused_states_with_what():
     async def watch_pieces() -> Watcher:
         watcher = Watcher(ASKED, Newest(), is_events=False, is_stalled=False)
         watcher.connection_made(WrittenTo())

@@ -24,7 +24,7 @@ def test_the_mechanism_is_there_still_compiles_broken_and_its_test_exists(one):
 
 
 @pytest.mark.parametrize(("new", "outcome"), [("2", "fails"), ("1", "PASSES"), ("(", "NOT RUN")])
-def test_a_test_that_fails_passes_or_does_not_run_is_told_apart(tmp_path, new, outcome):
+def test_a_test_that_fails_passes_or_does_not_run_is_reported_apart(tmp_path, new, outcome):
     (tmp_path / "made.py").write_text("ONE = 1\n")
     (tmp_path / "test_made.py").write_text("from made import ONE\n\n\ndef test_one():\n    assert ONE == 1\n")
     one = PLANTED[0].__class__(what="one", file="made.py", old="= 1", new=f"= {new}", test="test_made.py::test_one")

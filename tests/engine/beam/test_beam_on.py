@@ -98,7 +98,7 @@ def test_holds_at_every_frame_do_not_start_the_beam_s_time_anew():
     assert detail == "the accelerator reports beam on 110 ms after the permit ended: at most 100 ms are allowed"
 
 
-def test_the_time_counts_from_the_end_of_a_lease_that_nobody_renewed_or_held():
+def test_the_time_counts_from_the_end_of_a_lease_that_no_one_renewed_or_held():
     room = Room()
     room.pass_ms(300, permits=True)
     room.accelerator.stuck = True

@@ -184,7 +184,7 @@ def test_a_line_that_never_follows_is_waited_for_as_long_as_the_pulse_lasts_or_a
 
 
 @pytest.mark.parametrize("is_latched", [True, False])
-def test_a_line_says_whether_it_refuses_a_permit(is_latched):
+def test_a_line_states_whether_it_refuses_a_permit(is_latched):
     clock = ManualClock(5_000 * MS)
     line = Slow(clock)
     line.open()

@@ -103,7 +103,7 @@ def test_a_permit_decided_before_or_with_the_newest_hold_is_refused(granted_ms):
 
 
 @pytest.mark.parametrize("sequence", [0, 1])
-def test_a_permit_out_of_order_or_said_twice_is_refused(sequence):
+def test_a_permit_out_of_order_or_stated_twice_is_refused(sequence):
     line, _ = _lit_line()
     with pytest.raises(BeamLineError, match="after permit 1"):
         line.permit(_lease(sequence, 100, 190))
@@ -265,7 +265,7 @@ def test_permits_are_numbered_from_0_on_and_anew_after_each_arming():
             deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=0), now_ns=0)
 
 
-def test_a_refusal_says_why_in_these_words():
+def test_a_refusal_states_why_in_these_words():
     deadman = DeadMan()
     grant = Grant(decided_ns=10, expires_ns=10 + MAX_LEASE_NS + 1, sequence=7)
     said = []

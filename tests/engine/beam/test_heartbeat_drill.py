@@ -128,7 +128,7 @@ def test_a_receiver_that_drops_too_late_is_timed_and_refused_with_the_bound():
     assert RECEIVER_DROP_MS + MARGIN_MS < 300.0 < WAITED_NS / NS_PER_MS
 
 
-def test_without_a_second_input_nothing_is_permitted_and_it_is_said_plainly():
+def test_without_a_second_input_nothing_is_permitted_and_it_is_stated_plainly():
     setup, receiver = simulated()
     blind = DrilledReceiver(name="modbus-tcp", line=receiver.line, second_input=None)
     for refused in (lambda: setup.done(blind), lambda: check_verifiable([receiver, blind])):
@@ -288,7 +288,7 @@ def test_a_hold_between_beginning_a_repeated_permit_and_sending_it_is_seen():
     assert [is_on for _, is_on, _ in world.wire.commands[commands:]] == [False]
 
 
-def test_a_standstill_that_nobody_ends_ends_by_itself_with_off():
+def test_a_standstill_that_no_one_ends_ends_by_itself_with_off():
     world, _contact, setup, _receiver = wired(drops=False)
     setup.pulser.arm()
     setup.pulser.permit()

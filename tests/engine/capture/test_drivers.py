@@ -44,7 +44,7 @@ def test_an_sdk_that_is_missing_hides_no_other(monkeypatch):
     assert drivers.is_any_installed()
 
 
-def test_without_any_sdk_what_is_missing_is_said(monkeypatch):
+def test_without_any_sdk_what_is_missing_is_stated(monkeypatch):
     use(monkeypatch, FakeDriver(is_here=False))
     assert not drivers.is_any_available()
     assert not drivers.is_any_installed()

@@ -100,7 +100,7 @@ def test_a_device_s_clock_that_fell_behind_for_an_hour_is_not_put_forward_when_i
     assert lag_us(back) == pytest.approx(lag_us(last), abs=100)
 
 
-def test_a_camera_that_says_nothing_for_long_is_taken_for_unplugged(room):
+def test_a_camera_that_states_nothing_for_long_is_taken_for_unplugged(room):
     room.source.read(0.1)
     room.is_silent = True
     room.clock.advance_ns(SILENT_NS)

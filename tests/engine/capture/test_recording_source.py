@@ -224,7 +224,7 @@ def test_a_source_can_be_opened_again_and_closed_twice(tmp_path, opened):
     assert [frame.index for frame in read_all(source)] == [frame.index for frame in first]
 
 
-def test_the_description_says_what_the_file_is(tmp_path):
+def test_the_description_states_what_the_file_is(tmp_path):
     source = OniFileSource(write_recording(tmp_path / "a.oni", frames=2), clock=ManualClock())
     described = source.open()
     source.close()

@@ -42,7 +42,7 @@ def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itsel
         assert report.trouble == Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line")
 
 
-def test_after_a_hold_the_lease_of_before_says_nothing():
+def test_after_a_hold_the_lease_of_before_states_nothing():
     gate = stream_in(GateState.BEAM_ON).gate
     clock = ManualClock(gate.last.received_ns)
     beam = SimulatedBeamLine(clock)
@@ -98,7 +98,7 @@ class Answering(SimulatedBeamLine):
     ],
     ids=["error", "error without text", "mismatch of its own", "off", "on"],
 )
-def test_the_trouble_of_a_line_names_its_kind_and_says_what_the_line_said(line, state, trouble):
+def test_the_trouble_of_a_line_names_its_kind_and_states_what_the_line_stated(line, state, trouble):
     gate = stream_in(GateState.BEAM_ON).gate
     clock = ManualClock(gate.last.received_ns)
     beam = Answering(clock)
@@ -111,7 +111,7 @@ def test_the_trouble_of_a_line_names_its_kind_and_says_what_the_line_said(line, 
     assert not report.is_settling
 
 
-def test_a_decision_that_outlived_its_lease_or_a_line_that_answered_after_it_says_so():
+def test_a_decision_that_outlived_its_lease_or_a_line_that_answered_after_it_states_it():
     gate = stream_in(GateState.BEAM_ON).gate
     for late_ns, detail in (
         (LEASE_NS, "the decision took longer than its lease"),
@@ -139,7 +139,7 @@ class Settling(SimulatedBeamLine):
 
 @pytest.mark.parametrize(("line", "is_settling"), [(SimulatedBeamLine, False), (Settling, True)])
 @pytest.mark.parametrize("state", [GateState.BEAM_ON, GateState.HOLD])
-def test_the_report_says_whether_the_order_may_not_have_taken_effect(line, is_settling, state):
+def test_the_report_states_whether_the_order_may_not_have_taken_effect(line, is_settling, state):
     gate = stream_in(GateState.BEAM_ON).gate
     clock = ManualClock(gate.last.received_ns)
     beam = line(clock)

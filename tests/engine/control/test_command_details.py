@@ -45,7 +45,7 @@ def test_what_disarmed_the_gate_is_displayed_and_recorded(command, detail):
     assert (change.detail, change.operator, displayed) == (detail, "bob", [detail])
 
 
-def test_the_gate_says_which_window_was_set():
+def test_the_gate_states_which_window_was_set():
     bench = Bench([good] * 3)
     window = AmplitudeWindow(lower=0.0, upper=4.0)
     command = SetWindow(
@@ -75,7 +75,7 @@ def test_a_fault_found_while_a_hold_by_hand_is_carried_out_is_recorded_with_who_
     assert (fault.reason, fault.operator) == (HoldReason.DISK_LOW, "cid")
 
 
-def test_a_permit_that_the_watchdog_s_hold_refuses_says_so():
+def test_a_permit_that_the_watchdog_s_hold_refuses_states_it():
     bench = on_bench([])
 
     def fire(_lease):

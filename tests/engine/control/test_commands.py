@@ -201,7 +201,7 @@ def test_what_the_pipeline_refuses_reaches_the_asker_and_leaves_the_gate_disarme
     assert bench.records()[-1].gate_state is GateState.DISARMED
 
 
-def test_a_bug_behind_a_command_holds_tells_the_asker_and_fails_the_session():
+def test_a_bug_behind_a_command_holds_reports_the_asker_and_fails_the_session():
     bench = armed_bench([*[good] * 6])
     bench.pipeline.trouble = ZeroDivisionError("oh")
     bench.source.script += [after(bench.ask(SetReference(operator=OPERATOR))), *[good] * 3]

@@ -163,7 +163,7 @@ def test_a_measurement_of_another_frame_faults(change):
 @pytest.mark.parametrize(
     ("missing", "reason"), [("model", HoldReason.MODEL_MISSING), ("reference", HoldReason.REFERENCE_MISSING)]
 )
-def test_losing_the_model_or_the_reference_holds_even_where_nothing_said_so(missing, reason):
+def test_losing_the_model_or_the_reference_holds_even_where_nothing_stated_so(missing, reason):
     bench = armed_bench([*[good] * 6])
 
     def lose():

@@ -79,7 +79,7 @@ def test_a_camera_below_its_least_rate_holds_after_a_second_and_a_quicker_one_is
     assert records[-1].line_on
 
 
-def test_nothing_is_said_of_the_rate_before_there_was_a_second():
+def test_nothing_is_stated_of_the_rate_before_there_was_a_second():
     limits = replace(LIMITS, min_fps=60.0)
     records = on_bench([good] * 40, limits=limits).run().records()
     start_ns = records[0].received_ns

@@ -69,7 +69,7 @@ def test_each_view_that_a_hung_engine_leaves_behind_is_shown_as_the_watchdog_s_f
     assert seen[0][1].frames < seen[1][1].frames
 
 
-def test_only_a_lost_camera_that_delivers_again_is_said_to_be_back():
+def test_only_a_lost_camera_that_delivers_again_is_stated_to_be_back():
     seen = []
 
     def look():

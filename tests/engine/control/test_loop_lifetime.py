@@ -132,14 +132,14 @@ def test_its_thread_is_named_and_keeps_no_process_alive_and_its_watchdog_has_the
     assert loop._watchdog._deadline_ns == 200 * MS
 
 
-def test_an_engine_that_was_never_started_says_so_in_these_words():
+def test_an_engine_that_was_never_started_states_it_in_these_words():
     loop = plain_loop()
     assert loop.stop(timeout_s=0.0) is True
     with pytest.raises(CommandRefusedError, match=r"^the engine was never started$"):
         loop.submit(Arm(operator="ann"))
 
 
-def test_an_engine_that_hangs_says_so_in_these_words_and_its_line_is_held_as_stopped():
+def test_an_engine_that_hangs_states_it_in_these_words_and_its_line_is_held_as_stopped():
     loop = plain_loop()
 
     class Hanging:
@@ -183,7 +183,7 @@ def test_the_gate_keeps_the_words_that_the_end_came_with(error, reason, text):
     assert (bench.loop.gate.reason, bench.loop.gate.detail) == (reason, text)
 
 
-def test_a_thread_that_is_torn_down_says_so():
+def test_a_thread_that_is_torn_down_states_it():
     bench = armed_bench([good])
 
     def tear_down(_source, _timeout_s):

@@ -74,7 +74,7 @@ def test_whether_the_reference_is_kept_reaches_the_pipeline(keeps_reference, cal
     assert bench.pipeline.calls == [call]
 
 
-def test_what_the_learning_tells_leaves_in_order_and_none_is_lost():
+def test_what_the_learning_reports_leaves_in_order_and_none_is_lost():
     bench = Bench([good] * 8)
     take = bench.pipeline.take_notices
     numbers = iter(range(1000))

@@ -256,7 +256,7 @@ def test_a_program_may_arm_only_while_a_person_is_present():
     assert {change.armed_by for change in bench.transitions() if change.armed_by} == {KEY}
 
 
-def test_any_person_s_presence_keeps_the_beam_of_a_program_s_gate_on_and_nobody_s_holds_it():
+def test_any_person_s_presence_keeps_the_beam_of_a_program_s_gate_on_and_no_one_s_holds_it():
     bench = _armed_by_a_program([])
     for person in ("bob", "cy", "bob", "cy"):
         bench.source.script += [*[good] * 5, after(lambda name=person: bench.loop.note_presence(name))]
@@ -284,7 +284,7 @@ def test_a_person_s_release_counts_as_a_message():
 
 
 @pytest.mark.parametrize(("who", "is_on"), [("ann", False), ("cy", True)])
-def test_whoever_releases_has_to_be_present_from_then_on(who, is_on):
+def test_anyone_who_releases_has_to_be_present_from_then_on(who, is_on):
     bench = _on_bench([], limits=WATCHING)
     bench.source.script += [after(bench.ask(HOLD)), after(bench.ask(RELEASE))]
     for _ in range(12):

@@ -71,7 +71,7 @@ def test_a_correction_counts_on_top_of_the_reference_and_one_back_towards_the_fi
 
 
 @pytest.mark.parametrize("who", BEYOND_NO_MORE)
-def test_beyond_the_budget_nobody_goes_without_a_reason_and_no_program_at_all(who):
+def test_beyond_the_budget_no_one_goes_without_a_reason_and_no_program_at_all(who):
     for command, given in ((set_it(**who), {"would_lie": at(2.5)}), (correct(2.5, **who), {})):
         bench, (error,) = asked(command, is_armed=True, **given)
         assert isinstance(error, ReferenceDistanceError)

@@ -34,7 +34,7 @@ def _watched() -> tuple[Watchdog, SimulatedBeamLine, ManualClock, list[int]]:
     return watchdog, line, clock, fired
 
 
-def test_it_holds_just_after_its_deadline_and_says_so_once():
+def test_it_holds_just_after_its_deadline_and_states_it_once():
     watchdog, line, clock, fired = _watched()
     clock.advance_ns(DEADLINE_NS)
     assert not watchdog.check(clock.now_ns())
@@ -254,7 +254,7 @@ def test_an_engine_that_comes_back_stays_faulted_until_acknowledged_and_armed(ru
     assert not line.is_on()
 
 
-def test_stopping_a_hung_engine_latches_and_closes_the_line_and_says_that_it_hangs(running):
+def test_stopping_a_hung_engine_latches_and_closes_the_line_and_states_that_it_hangs(running):
     loop, source, line = running
     _hang(loop, source, line)
     waiting = loop.submit(Disarm(operator="ann"))

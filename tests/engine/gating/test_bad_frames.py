@@ -333,7 +333,7 @@ def test_a_device_that_started_its_clock_anew_works_again_after_acknowledgement(
         ),
     ],
 )
-def test_a_frame_that_was_not_measured_says_why(state, lost, detail):
+def test_a_frame_that_was_not_measured_states_why(state, lost, detail):
     stream = stream_in(GateState.BEAM_ON)
     gate = stream.feed(replace(unmeasured(stream.upcoming(), state), lost=lost))
     assert (gate.state, gate.detail) == (GateState.HOLD, detail)

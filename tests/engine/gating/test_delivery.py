@@ -78,7 +78,7 @@ def test_within_an_hour_no_stream_ages_by_more_than_100_ms_unnoticed(error):
     assert max(one.age_ms for one in stream if one.is_believed) <= 100.0
 
 
-def test_a_backlog_that_a_fast_clock_hides_holds_within_five_seconds_and_says_since_when():
+def test_a_backlog_that_a_fast_clock_hides_holds_within_five_seconds_and_states_since_when():
     stream = list(watched(seconds=20.0, clock_error=0.005, waiting_ms=growing(0.005)))
     believed = [one for one in stream if one.is_believed]
     assert 14.0 < believed[-1].at_s < 15.0

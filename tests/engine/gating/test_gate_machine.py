@@ -282,7 +282,7 @@ PATIENT = settings(
 )
 
 
-def test_the_gate_is_always_where_a_plain_reading_of_its_rules_says_and_most_histories_reach_the_beam():
+def test_the_gate_is_always_where_a_plain_reading_of_its_rules_states_and_most_histories_reach_the_beam():
     class Counted(GateMachine):
         reached: ClassVar[Counter[str]] = Counter()
 

@@ -108,7 +108,7 @@ def test_how_long_ago_a_lease_had_lapsed_is_reported_in_milliseconds():
     assert gate.detail == "decided 7 ms after the line's lease had lapsed"
 
 
-def test_a_lease_says_when_it_was_decided_when_it_ends_and_its_number_and_is_for_a_frame():
+def test_a_lease_states_when_it_was_decided_when_it_ends_and_its_number_and_is_for_a_frame():
     stream = stream_in(GateState.BEAM_ON)
     lease = lease_of(stream.gate, decided_ns=77, sequence=5, limits=LIMITS)
     received_ns = stream.gate.last.received_ns
@@ -332,7 +332,7 @@ def test_every_frame_is_remembered_whatever_came_of_it():
         assert stream.step(event).last is before
 
 
-def test_a_frame_that_says_it_was_measured_and_has_no_motion_faults_by_name():
+def test_a_frame_that_states_it_was_measured_and_has_no_motion_faults_by_name():
     stream = stream_in(GateState.BEAM_ON)
     gate = stream.feed(replace(stream.upcoming(), motion=None))
     assert (gate.state, gate.reason) == (GateState.FAULT, HoldReason.VALUE_INVALID)

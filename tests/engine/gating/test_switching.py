@@ -38,7 +38,7 @@ def test_the_beam_stays_off_for_the_shortest_off():
     assert set(states[FRAMES_A_DWELL - 1 : first]) == {GateState.DWELL}
 
 
-def test_while_it_waits_it_says_for_what():
+def test_while_it_waits_it_states_for_what():
     stream = on(replace(EASY, min_off_ms=1_000.0))
     leave(stream)
     stream.good(FRAMES_A_DWELL)

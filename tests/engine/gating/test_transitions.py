@@ -36,7 +36,7 @@ def test_the_expectation_covers_every_pair_of_state_and_kind():
 
 
 @pytest.mark.parametrize(("state", "kind", "expected"), PAIRS, ids=_named)
-def test_every_pair_of_state_and_event_leads_where_the_design_says(state, kind, expected):
+def test_every_pair_of_state_and_event_leads_where_the_design_states(state, kind, expected):
     assert next_state(state, kind) is expected
 
 
@@ -141,7 +141,7 @@ REAL_PAIRS = [
 
 
 @pytest.mark.parametrize(("state", "make", "expected"), REAL_PAIRS)
-def test_a_real_event_in_a_gate_that_really_got_there_leads_where_the_design_says(state, make, expected):
+def test_a_real_event_in_a_gate_that_really_got_there_leads_where_the_design_states(state, make, expected):
     assert make(stream_in(GateState(state))).state is expected
 
 

@@ -74,7 +74,7 @@ def test_a_room_at_any_distance_is_lost_for_its_markers(subtests):
             assert outcome.lost.reason is LostReason.MARKER_LOST
 
 
-def test_a_room_four_metres_away_is_lost_and_the_reason_says_how_far_it_is():
+def test_a_room_four_metres_away_is_lost_and_the_reason_states_how_far_it_is():
     focal_px = 525.0
     camera = replace(small_scene.CAMERA, fx=focal_px, fy=focal_px)
     pipeline = new_pipeline(replace(small_scene.CALIBRATION, depth=camera, color=camera))

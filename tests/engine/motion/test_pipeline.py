@@ -213,7 +213,7 @@ def test_retraining_moves_neither_reference_nor_sign(measuring):
     assert after.whole_mm == pytest.approx(before.whole_mm, abs=0.05)
 
 
-def test_set_reference_makes_the_next_frame_zero_and_tells_the_gate(measuring):
+def test_set_reference_makes_the_next_frame_zero_and_reports_the_gate(measuring):
     assert measure(measuring, range(1, 20))[-1].motion.whole_mm > 0.1
     generation = measuring.learner.status.model_generation
     measuring.learner.set_reference()
@@ -254,7 +254,7 @@ def test_the_same_frames_give_the_same_numbers():
     assert all(np.array_equal(a.regions_mm, b.regions_mm) and a.volume_l == b.volume_l for a, b in pairs)
 
 
-def test_a_patient_who_never_breathes_regularly_still_gets_a_model_that_says_so():
+def test_a_patient_who_never_breathes_regularly_still_gets_a_model_that_states_it():
     settings = PipelineSettings(training=TrainingSettings(min_frames=40, min_seconds=2.0, max_seconds=3.0))
     pipeline = new_pipeline(settings)
     for index in range(200):

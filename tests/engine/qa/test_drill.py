@@ -80,7 +80,7 @@ def test_each_fault_of_a_line_fails_its_drill_and_is_named(line, drills, says):
     assert any(says in results[code].detail for code in codes)
 
 
-def test_a_receiver_without_the_heartbeat_s_rule_fails_daily_qa_and_the_text_says_so():
+def test_a_receiver_without_the_heartbeat_s_rule_fails_daily_qa_and_the_text_states_it():
     results = drilled(beam_of(receiver_class=NoHeartbeatRule))
     assert failed(results) == {"fail_safe_heartbeat_ms", "beam_readback_errors"}
     assert results["fail_safe_heartbeat_ms"].value is None

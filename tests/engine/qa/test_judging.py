@@ -63,7 +63,7 @@ def test_a_baseline_is_nothing_to_a_check_that_has_none():
     assert (judgement.expected, judgement.verdict) == (0.0, "fail")
 
 
-def test_what_was_not_measured_says_so_and_why():
+def test_what_was_not_measured_states_it_and_why():
     judgement = judge(QaFigure(code=NOISE.code, value=None, detail="the plate was tilted"), NOISE, BOUND)
     assert judgement.detail == "not measured; the plate was tilted"
     assert judgement.value is None
@@ -95,7 +95,7 @@ def test_a_check_that_nothing_was_measured_for_fails_its_run():
     assert {result.verdict for result in results} == {QaVerdict.FAIL}
 
 
-def test_every_check_stands_once_with_bounds_it_may_have_and_says_where_they_are_from():
+def test_every_check_stands_once_with_bounds_it_may_have_and_states_where_they_are_from():
     codes = [check.code for check in CHECKS]
     assert len(set(codes)) == len(codes)
     for check in CHECKS:

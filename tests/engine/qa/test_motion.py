@@ -70,7 +70,7 @@ def test_too_few_frames_within_the_trace_tell_nothing():
     assert isinstance(compare_motion(FRAMES_S + 100.0, measured(), TRACE, ZERO_S), str)
 
 
-def test_a_zero_outside_of_the_trace_tells_nothing():
+def test_a_zero_outside_of_the_trace_reports_nothing():
     assert "reference" in compare_motion(FRAMES_S, measured(), TRACE, -1.0)
 
 
@@ -80,7 +80,7 @@ def test_a_lag_beyond_all_reason_is_a_time_zero_that_is_not_known():
     assert "time 0" in compare_motion(FRAMES_S, late, slow, ZERO_S)
 
 
-def test_nothing_that_stands_still_tells_anything():
+def test_nothing_that_stands_still_reports_anything():
     still = np.where(TIMES > 30.0, 3.0, 3.0 * np.sin(2.0 * np.pi * TIMES / 5.0))
     late = FRAMES_S > 35.0
     trace = CommandedTrace(time_s=TIMES, position_mm=still)
@@ -99,7 +99,7 @@ def test_a_reference_at_the_ends_of_exhale_is_the_mean_of_the_last_commanded_one
     assert other.offset_mm == pytest.approx(1.0, abs=2e-3)
 
 
-def test_fewer_commanded_ends_of_exhale_than_the_reference_has_are_said():
+def test_fewer_commanded_ends_of_exhale_than_the_reference_has_are_stated():
     assert "fewer than 99 ends of exhale" in compare_motion(FRAMES_S, measured(), TRACE, ZERO_S, 99)
 
 

@@ -73,5 +73,5 @@ def test_only_what_lies_between_the_two_times_and_within_the_trace_is_looked_at(
     assert outside_ms([*beam(), late], to_s=1e6) == about(500.0)
 
 
-def test_where_the_trace_tells_nothing_nothing_is_measured():
+def test_where_the_trace_reports_nothing_nothing_is_measured():
     assert longest_outside_s(trace(), BELOW, beam(), 1e5, 1e6) is None

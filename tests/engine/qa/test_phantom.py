@@ -189,7 +189,7 @@ def test_a_fault_before_the_gate_was_armed_is_none_of_a_live_phantom_s(phantom):
 
 
 @pytest.mark.parametrize("is_live", [False, True])
-def test_a_source_says_itself_whether_it_is_live(phantom, monkeypatch, is_live):
+def test_a_source_states_itself_whether_it_is_live(phantom, monkeypatch, is_live):
     given, frames = watched(phantom)
     late = arriving(frames, mostly_late_ms)
     monkeypatch.setattr("engine.qa.phantom._measure_frames", lambda *_given, **_named: (late, None))
@@ -199,7 +199,7 @@ def test_a_source_says_itself_whether_it_is_live(phantom, monkeypatch, is_live):
 
 
 @pytest.mark.parametrize("code", [code for code in GATE_CODES if code.endswith("_ms")] + ["beam_off_total_ms"])
-def test_the_method_says_that_a_recording_has_no_transport_in_it(code):
+def test_the_method_states_that_a_recording_has_no_transport_in_it(code):
     assert "recording" in check_of(code).method
 
 
@@ -250,7 +250,7 @@ def test_frames_that_give_no_motion_are_counted_after_the_reference_only(phantom
     assert values(given, frames)["motion_lost_percent"] == pytest.approx(100.0 * 50 / after)
 
 
-def test_a_patient_s_trace_tells_of_the_motion_and_says_that_it_cannot_tell_of_the_gate(phantom):
+def test_a_patient_s_trace_reports_the_motion_and_states_that_it_cannot_report_of_the_gate(phantom):
     trace = read_commanded(ROBOT)
     middle_mm = float(np.mean(trace.reach_mm))
     given = replace(phantom, trace=trace, window_mm=(-60.0, middle_mm))
@@ -290,7 +290,7 @@ def test_a_plot_s_curves_are_as_long_as_each_other_thin_and_finite(phantom):
 @pytest.mark.parametrize(
     "window_mm", [(5.0, 15.0), (-50.0, 50.0), (10.0, -50.0), (-60.0, float("nan")), (-200.0, 10.0)]
 )
-def test_a_window_that_says_nothing_of_timing_is_refused(phantom, window_mm):
+def test_a_window_that_states_nothing_of_timing_is_refused(phantom, window_mm):
     with pytest.raises(InvalidValueError, match=r"phantom\.window_mm"):
         replace(phantom, window_mm=window_mm)
 

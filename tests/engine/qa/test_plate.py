@@ -156,7 +156,7 @@ def test_a_second_in_which_nothing_was_seen_is_left_out():
         ({"fails_at": 5, "error": FrameTimeoutError("no frame")}, "no frame"),
     ],
 )
-def test_what_cannot_be_read_fails_every_check_of_the_plate_and_says_why(given, says):
+def test_what_cannot_be_read_fails_every_check_of_the_plate_and_states_why(given, says):
     made = plate(**given)
     results = results_of(made)
     assert {result.verdict for result in results.values()} == {QaVerdict.FAIL}

@@ -84,7 +84,7 @@ def test_a_healthy_set_up_passes_every_check_of_the_annual_run(healthy):
 
 
 @pytest.mark.slow
-def test_a_run_tells_how_far_it_is_stage_after_stage(healthy):
+def test_a_run_reports_how_far_it_is_stage_after_stage(healthy):
     _, reported = healthy
     stages = list(dict.fromkeys(stage for stage, _, _ in reported))
     assert stages == [QaNeed.PLATE, QaNeed.PHANTOM, QaNeed.BEAM]

@@ -67,7 +67,7 @@ def test_a_wrong_level_moves_neither_figure_but_the_duty():
     assert found.duty_change == pytest.approx(wanted, abs=2e-3)
 
 
-def test_with_one_period_the_level_is_in_the_difference_and_that_is_said():
+def test_with_one_period_the_level_is_in_the_difference_and_that_is_stated():
     cycles = cycles_of(periods=(4.0,), each=9)
     found = time_gate_by_sines(cycles, beam(cycles, 80.0, 30.0))
     assert not found.has_periods
@@ -128,7 +128,7 @@ def test_noise_shows_in_the_standard_error_and_the_figure_stays_within_it():
     ],
     ids=["peaked", "lopsided", "triangle", "level at both ends"],
 )
-def test_what_is_no_sine_tells_nothing(shape):
+def test_what_is_no_sine_reports_nothing(shape):
     cycles = cycles_of(shape=shape)
     assert isinstance(time_gate_by_sines(cycles, beam(cycles)), str)
 
@@ -150,7 +150,7 @@ def test_too_few_cycles_tell_nothing_and_say_how_many_there_were():
 
 
 @pytest.mark.parametrize("kept", [0, 5])
-def test_a_beam_that_hardly_ever_came_on_tells_nothing(kept):
+def test_a_beam_that_hardly_ever_came_on_reports_nothing(kept):
     cycles = cycles_of()
     assert "exactly once" in time_gate_by_sines(cycles, beam(cycles)[:kept])
 

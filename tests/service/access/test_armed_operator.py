@@ -244,7 +244,7 @@ def test_a_hold_that_fails_is_tried_again_at_the_next_look():
     assert tried == ["s", "s"]
 
 
-def test_who_releases_answers_for_the_gate_and_a_program_takes_over_from_nobody(client, session_id, armed):
+def test_who_releases_answers_for_the_gate_and_a_program_takes_over_from_no_one(client, session_id, armed):
     act(client, session_id, "hold", operator="B. Physicist")
     assert client.get(f"/api/v1/sessions/{session_id}").json()["gate"]["armed_by"] == ARMS
     made = client.desk.keys.create("planning", KEY_PERMISSIONS, client.desk.store.now() + timedelta(days=1), by="test")

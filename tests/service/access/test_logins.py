@@ -74,7 +74,7 @@ def test_names_are_the_same_whatever_their_case_or_width(logins, person):
     assert logins.log_in(attempt(name="\uff41. therapist ")).user == logins._store.users[person.key]
 
 
-def test_nothing_tells_whether_a_name_is_known_the_password_is_checked_once_either_way(
+def test_nothing_reports_whether_a_name_is_known_the_password_is_checked_once_either_way(
     logins, hashing, people, person, store
 ):
     people.add("Disabled", [Role.VIEWER], by="test", password=PASSWORD)
@@ -318,7 +318,7 @@ def test_roles_that_are_taken_end_a_stream_that_they_opened(logins, door, people
     assert not door.is_valid(identity)
 
 
-def test_somebody_outside_is_who_the_provider_says_and_has_the_roles_of_today(logins, door, person, store):
+def test_somebody_outside_is_who_the_provider_states_and_has_the_roles_of_today(logins, door, person, store):
     who = {"issuer": "https://id.example", "subject": "42", "address": "10.0.0.1", "name_if_taken": f"{NAME} [42]"}
     first = logins.open_oidc(**who, name=NAME, roles=frozenset({Role.PHYSICIST}))
     assert first.user.name == f"{NAME} [42]"

@@ -42,7 +42,7 @@ def silent(anonymous, monkeypatch):
     return anonymous
 
 
-def test_a_machine_is_the_actor_and_the_audit_tells_for_whom_it_acts(silent, machine, person):
+def test_a_machine_is_the_actor_and_the_audit_reports_for_whom_it_acts(silent, machine, person):
     assert upload(silent, machine, "C. Nurse").json()["uploaded_by"] == "key:planning"
     assert upload(silent, machine).status_code == 201
     first, second = rows(silent, person, "calibration.upload")
@@ -69,7 +69,7 @@ def test_what_takes_the_beam_away_is_not_refused_over_a_name(silent, person, act
     assert other.json()["code"] == "operator_mismatch"
 
 
-def test_what_one_call_says_of_its_principal_no_other_call_has(silent, machine):
+def test_what_one_call_states_of_its_principal_no_other_call_has(silent, machine):
     upload(silent, machine, "C. Nurse")
     silent.desk.store.write(event=Event(actor="test", action="test.test"))
     from service.storage.audit import chain

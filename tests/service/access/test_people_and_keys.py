@@ -53,7 +53,7 @@ def test_the_first_start_makes_an_administrator_and_no_later_one_does(store, peo
     assert password not in str(row)
 
 
-def test_a_person_is_made_with_a_password_to_be_changed_and_the_audit_tells_by_whom(people, database):
+def test_a_person_is_made_with_a_password_to_be_changed_and_the_audit_reports_by_whom(people, database):
     issued = people.add("B. Physicist", [Role.PHYSICIST, Role.ADMIN], by="admin")
     assert issued.user.must_change_password
     assert issued.one_time_password not in repr(issued)
@@ -75,7 +75,7 @@ def test_a_name_that_looks_like_another_is_taken_also_by_who_is_disabled(people)
         people.add("ZOE\u0308", [Role.VIEWER], by="admin")
 
 
-def test_a_change_tells_the_audit_what_was_and_what_is(people, database):
+def test_a_change_reports_the_audit_what_was_and_what_is(people, database):
     people.add("Else", [Role.ADMIN], by="admin")
     people.add("B. Physicist", [Role.VIEWER], by="admin")
     people.change("b. physicist", Change(roles=frozenset({Role.PHYSICIST})), by="Else")

@@ -62,7 +62,7 @@ def test_a_broken_log_is_exit_code_1_and_names_the_first_broken_row(folder, stat
     assert ran.stdout.startswith(said)
 
 
-def test_without_anchors_the_chain_alone_is_verified_and_that_is_said(folder):
+def test_without_anchors_the_chain_alone_is_verified_and_that_is_stated(folder):
     edit(folder, "DELETE FROM audit WHERE sequence > 30")
     ran = run("audit", "verify", "--without-anchors", "--data", folder)
     assert (ran.exit_code, ran.stdout.startswith("intact: 30 rows, head ")) == (0, True)

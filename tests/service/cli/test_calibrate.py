@@ -122,7 +122,7 @@ def test_plates_give_a_depth_correction(plates, tmp_path):
     assert "?" in result.stdout
 
 
-def test_one_plate_says_what_it_does_not_know(plates, tmp_path):
+def test_one_plate_states_what_it_does_not_know(plates, tmp_path):
     out = tmp_path / "cal.json"
     result = run("plate", plates / "700.oni", "--distance-mm", 700, "--calibration", plates / "cal.json", "--out", out)
     assert result.exit_code == 0
@@ -191,7 +191,7 @@ def test_the_serial_number_is_written_and_kept(tmp_path):
     assert "serial" in refusal_of("convert", source, "--serial", "a\nb", "--out", out)
 
 
-def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path):
+def test_a_place_that_cannot_be_written_is_stated_in_one_line(tmp_path):
     source = tmp_path / "a.json"
     source.write_text(CAMERAS.to_json())
     (tmp_path / "file").write_text("")

@@ -253,7 +253,7 @@ def test_a_calibration_of_another_picture_size_is_refused(regular_volunteer, tmp
     assert "1280" in result.output
 
 
-def test_a_cut_recording_keeps_what_was_readable_and_says_so(regular_volunteer, tmp_path):
+def test_a_cut_recording_keeps_what_was_readable_and_states_it(regular_volunteer, tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
     whole = (regular_volunteer / "recording.oni").read_bytes()
@@ -283,7 +283,7 @@ def test_the_breath_has_a_row_for_every_frame_and_nothing_where_nothing_is_known
     assert {row["events"] for row in rows} == {""}
 
 
-def test_a_recording_too_short_to_learn_from_says_why(regular_volunteer, tmp_path):
+def test_a_recording_too_short_to_learn_from_states_why(regular_volunteer, tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
     whole = (regular_volunteer / "recording.oni").read_bytes()
@@ -313,7 +313,7 @@ def test_what_is_no_recording_is_one_line_and_leaves_nothing(regular_volunteer, 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_said_so(regular_volunteer, tmp_path):
+def test_a_folder_that_cannot_be_written_is_stated_so(regular_volunteer, tmp_path):
     (tmp_path / "out").write_text("a file is in the way")
     result = invoke(regular_volunteer, tmp_path / "out")
     assert result.exit_code == 2

@@ -200,7 +200,7 @@ def test_every_recording_has_its_row_in_the_order_given(many):
     assert Path(good["calibration"]).name == "calibration.json"
 
 
-def test_one_that_fails_does_not_stop_the_others_and_its_row_says_why(many):
+def test_one_that_fails_does_not_stop_the_others_and_its_row_states_why(many):
     result, rows, _ = many
     assert result.exit_code == 2
     cut, lone, junk = rows[1:]

@@ -99,7 +99,7 @@ def test_the_lag_is_that_of_the_true_signals(out, rows, truth):
     assert lag_s[reported[-1]] == pytest.approx(true.lag_s, abs=0.05)
 
 
-def test_the_summary_tells_what_a_person_would_compute(out, rows):
+def test_the_summary_reports_what_a_person_would_compute(out, rows):
     summary = json.loads((out / "motion_summary.json").read_text())
     assert summary["schema"] == "tidegate.motion-summary/1"
     whole_mm = column(rows, "whole_mm")
@@ -170,7 +170,7 @@ def test_a_wrong_option_is_one_line_and_exit_2(regular_volunteer, tmp_path, extr
     assert not (tmp_path / "out").exists()
 
 
-def test_without_any_calibration_it_says_where_it_looked(regular_volunteer, tmp_path):
+def test_without_any_calibration_it_states_where_it_looked(regular_volunteer, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "recording.oni").symlink_to(regular_volunteer / "recording.oni")
     result = invoke(tmp_path / "in", tmp_path / "out")

@@ -44,7 +44,7 @@ def changed_model(learned, tmp_path, **changes):
     return path
 
 
-def test_a_model_says_what_made_it(learned):
+def test_a_model_states_what_made_it(learned):
     """That the same recording gives the same bytes of it: test_measure.py."""
     model = load_model(learned / "model.npz")
     origin, quality = model.provenance.origin, model.provenance.quality

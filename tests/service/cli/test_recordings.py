@@ -26,7 +26,7 @@ def test_info_shows_what_a_recording_holds(tmp_path):
         assert words in result.stdout
 
 
-def test_info_as_json_says_the_same(tmp_path):
+def test_info_as_json_states_the_same(tmp_path):
     result = run("info", "--json", write_recording(tmp_path / "a.oni", frames=9))
     document = json.loads(result.stdout)
     assert (document["depth"]["frames"], document["color"]["codec"], document["damage"]) == (9, "JPEG", None)
@@ -72,7 +72,7 @@ def test_what_is_no_recording_gives_one_line_and_code_2(tmp_path, content, comma
     assert result.stderr.count("\n") == 1
 
 
-def test_record_writes_a_whole_recording_and_says_so(tmp_path):
+def test_record_writes_a_whole_recording_and_states_it(tmp_path):
     source = write_recording(tmp_path / "source.oni", frames=20)
     result = run("record", "--source", source, "--seconds", "0.3", "--out", tmp_path / "out.oni")
     assert result.exit_code == 0, result.output

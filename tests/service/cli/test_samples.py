@@ -66,7 +66,7 @@ def test_a_file_of_no_session_is_named(run, sample_store):
 
 
 @pytest.mark.parametrize("words", [("verify",), ("verify", SESSION, "--all"), ("verify", "0" * 32)])
-def test_what_cannot_be_done_is_said_in_a_line(run, words):
+def test_what_cannot_be_done_is_stated_in_a_line(run, words):
     done = run(*words)
     assert done.exit_code == 2
     assert done.stdout == ""

@@ -66,7 +66,7 @@ def test_people_are_made_listed_and_disabled_and_each_is_audited(shell, kept):
     assert shell("users", "reset", "B. Physicist").split()[-1] != one_time
 
 
-def test_a_short_password_and_a_name_that_is_taken_are_said_in_one_line(shell):
+def test_a_short_password_and_a_name_that_is_taken_are_stated_in_one_line(shell):
     said = shell("users", "add", "root", "--role", "admin", "--password-stdin", says="short\n", code=2)
     assert "12 to 256 characters" in said
     assert "short" not in said

@@ -12,7 +12,7 @@ from tests.support.client.scripted_server import KEY, cuts, refuses, says, write
 SESSION = "0" * 32
 
 
-def test_a_problem_tells_code_field_value_bound_and_request_id(client, script):
+def test_a_problem_reports_code_field_value_bound_and_request_id(client, script):
     read_back = {
         "code": "invalid_value",
         "status": 422,
@@ -30,7 +30,7 @@ def test_a_problem_tells_code_field_value_bound_and_request_id(client, script):
     assert str(pickle.loads(pickle.dumps(error))) == str(error) == "422 invalid_value: no"
 
 
-def test_what_a_proxy_says_in_its_own_words_is_a_problem_too(client, script):
+def test_what_a_proxy_states_in_its_own_words_is_a_problem_too(client, script):
     script.steps = [lambda handler: handler.answer(413, b"<html>too large</html>", "text/html")]
     with pytest.raises(ProblemError, match="http_413"):
         client.create_session({})
@@ -47,7 +47,7 @@ def test_an_answer_that_the_contract_does_not_know_is_refused(client, script, bo
         list(client.sessions())
 
 
-def test_an_answer_with_more_than_the_contract_says_is_taken(client, script):
+def test_an_answer_with_more_than_the_contract_states_is_taken(client, script):
     script.steps = [says({"items": [], "next_cursor": None, "new_in_a_later_version": 1})]
     assert list(client.sessions()) == []
 

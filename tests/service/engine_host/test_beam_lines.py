@@ -49,7 +49,7 @@ def _line_of(settings):
     return make_beam_line(settings, MonotonicClock())
 
 
-def test_without_settings_the_line_is_simulated_and_says_so(site):
+def test_without_settings_the_line_is_simulated_and_states_it(site):
     settings = site()
     assert (settings.mode, settings.is_simulated_beam) == ("research", True)
     assert isinstance(_line_of(settings), SimulatedBeamLine)

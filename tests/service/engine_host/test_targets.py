@@ -95,7 +95,7 @@ def test_a_serial_port_is_one_under_all_its_names(tmp_path):
         os.close(slave)
 
 
-def test_a_camera_of_the_setting_is_one_room_s_and_a_simulated_line_is_nobody_s():
+def test_a_camera_of_the_setting_is_one_room_s_and_a_simulated_line_is_no_one_s():
     assert targets_of(Settings()) == ()
     with alone_at_targets(Settings(camera_uri="1d27/0609@1")):
         assert is_refused(Settings(camera_uri="1d27/0609@1"))

@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from service.core.periodic import PeriodicWorker
-from service.core.schemas.readiness import ReadinessCode
+from service.core.schemas.base import ReadinessCode
 from service.core.settings.settings import Settings
 from service.monitoring import readiness as module
 from service.monitoring.certificate import ServedCertificate
@@ -57,7 +57,7 @@ def codes(reasons):
     return [reason.code for reason in reasons]
 
 
-def test_where_nothing_is_missing_it_is_ready_and_says_when_it_looked(probe_of):
+def test_where_nothing_is_missing_it_is_ready_and_states_when_it_looked(probe_of):
     before = datetime.now(UTC)
     found = probe_of().readiness()
     assert (found.is_ready, found.not_ready, found.reasons, found.warnings) == (True, [], [], [])

@@ -97,7 +97,7 @@ def test_a_young_qa_of_any_kind_that_did_not_fail_lets_people_arm(database, kind
 
 
 @pytest.mark.parametrize(("age_h", "is_allowed"), [(23.99, True), (24.0, True), (24.01, False), (700.0, False)])
-def test_it_lasts_as_long_as_the_site_says(database, age_h, is_allowed):
+def test_it_lasts_as_long_as_the_site_states(database, age_h, is_allowed):
     put(database, age_h=age_h)
     reason = why(database)
     assert (reason is None) is is_allowed
@@ -149,7 +149,7 @@ def test_simulated_runs_count_for_nothing_either_way(database):
 REAL = {"beam_line": "modbus-tcp", "beam_modbus_host": "10.0.0.1"}
 
 
-def test_a_run_on_a_simulated_line_says_nothing_of_a_real_one(database):
+def test_a_run_on_a_simulated_line_states_nothing_of_a_real_one(database):
     """The command's own line is simulated, and asks for no one's word."""
     real = Settings(qa_required_daily_h=24.0, **REAL)
     put(database)
@@ -159,7 +159,7 @@ def test_a_run_on_a_simulated_line_says_nothing_of_a_real_one(database):
     assert "another beam line" in why(database)
 
 
-def test_a_run_on_a_real_line_elsewhere_says_nothing_of_this_one(database):
+def test_a_run_on_a_real_line_elsewhere_states_nothing_of_this_one(database):
     real = Settings(qa_required_daily_h=24.0, **REAL)
     put(database, place=Settings(**{**REAL, "beam_modbus_host": "10.9.9.9"}).beam_place)
     assert "10.9.9.9" in why(database, real)
@@ -176,7 +176,7 @@ def test_a_run_by_wider_bounds_than_the_site_s_is_none_of_it(database):
     assert why(database) is None
 
 
-def test_a_run_of_before_the_heartbeat_s_drill_lets_nobody_arm(database):
+def test_a_run_of_before_the_heartbeat_s_drill_lets_no_one_arm(database):
     earlier = {code: bound for code, bound in bounds_of(DAY).items() if code != "fail_safe_heartbeat_ms"}
     put(database, bounds=earlier)
     assert "did not include fail_safe_heartbeat_ms, which the daily QA has now" in why(database)

@@ -45,13 +45,13 @@ def test_every_language_has_the_same_words_none_empty_with_the_same_placeholders
 
 @pytest.mark.parametrize("name", LANGUAGES)
 @pytest.mark.parametrize("code", CODES)
-def test_every_code_says_what_it_is_what_to_do_and_whom_to_call(name: str, code: str):
+def test_every_code_states_what_it_is_what_to_do_and_whom_to_call(name: str, code: str):
     for part in ("what", "do", "call"):
         assert len(LANGUAGES[name].get(f"hold.{code}.{part}", "")) > 3, f"{name}: hold.{code}.{part}"
 
 
 @pytest.mark.parametrize("code", sorted(ALARMS.keys() - set(HoldReason)))
-def test_english_says_of_an_alarm_that_is_no_hold_what_the_controller_says(code: str):
+def test_english_states_of_an_alarm_that_is_no_hold_what_the_controller_states(code: str):
     assert ENGLISH[f"hold.{code}.what"] == ALARMS[code].text
 
 

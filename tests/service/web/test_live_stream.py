@@ -75,7 +75,7 @@ def next_of(socket, kind):
     return next(one for one in messages_of(socket) if one["type"] == kind)
 
 
-def test_the_stream_says_hello_and_is_idle_while_no_session_runs(client):
+def test_the_stream_states_hello_and_is_idle_while_no_session_runs(client):
     with client.websocket_connect("/api/v1/live") as socket:
         hello = socket.receive_json()
         SCHEMA.validate(hello)
@@ -334,7 +334,7 @@ def test_the_number_of_clients_is_bounded_and_places_come_free(settings, engine)
             assert third.receive_json()["type"] == "hello"
 
 
-def test_what_a_client_says_changes_nothing(client, running):
+def test_what_a_client_states_changes_nothing(client, running):
     with client.websocket_connect("/api/v1/live") as socket:
         for text in ('{"type": "arm"}', "x" * 1000):
             socket.send_text(text)

@@ -20,7 +20,7 @@ from engine.core.gate_state import GateState
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process, process_engine, remote_engine
+from service.engine_host.process import messages, process_engine, remote_engine
 from service.engine_host.process.process_engine import ProcessEngine
 from service.engine_host.process.remote_engine import RemoteEngine
 from service.engine_host.roles import SessionPlan
@@ -208,8 +208,8 @@ class Bench:
 @contextlib.contextmanager
 def bench(folder: Path, line: Line, **settings: object) -> Iterator[Bench]:
     os.environ[LINE] = str(line.path)
-    before = child_process.MODULE, process_engine.START_S, remote_engine.OPEN_S
-    child_process.MODULE = PACED
+    before = messages.MODULE, process_engine.START_S, remote_engine.OPEN_S
+    messages.MODULE = PACED
     process_engine.START_S = remote_engine.OPEN_S = PATIENCE_S
     try:
         held = Bench(folder, line, **settings)
@@ -218,7 +218,7 @@ def bench(folder: Path, line: Line, **settings: object) -> Iterator[Bench]:
         finally:
             held.end()
     finally:
-        child_process.MODULE, process_engine.START_S, remote_engine.OPEN_S = before
+        messages.MODULE, process_engine.START_S, remote_engine.OPEN_S = before
 
 
 def is_there(pid: int) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process
+from service.engine_host.process import messages
 from service.engine_host.process.process_engine import ProcessEngine
 from service.web.app import create_app
 from service.web.server import make_server
@@ -29,7 +29,7 @@ def _block_event_loop(_number: int, _frame: FrameType | None) -> None:
 def main() -> None:
     data, port = sys.argv[1:]
     signal.signal(signal.SIGUSR1, _block_event_loop)
-    child_process.MODULE = PACED
+    messages.MODULE = PACED
     recordings = Path(data).parent
     settings = Settings(data_dir=Path(data), recordings_dirs=(recordings,), port=int(port), **PATIENT)
     with contextlib.suppress(KeyboardInterrupt):

@@ -17,7 +17,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.stages.projection import project
 from engine.motion.stages.regions import RegionLayout
-from engine.motion.tracking.past_measurement import PastMeasurement
+from engine.motion.tracking.breath_tracker import PastMeasurement
 
 FRAME_US = 33_367
 STRIDE_PX = 2

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from service.client import AnsweredCall, LiveMessage, SentCall
-from service.planning.simulated_tps.fault_injection import FAULTS, FaultInjectingClient
+from service.planning.simulated_tps.delivery import FAULTS, FaultInjectingClient
 
 SENT_TWICE = "sent twice"
 EVERY = 2

@@ -41,7 +41,7 @@ def permit(line, clock, sequence=1, *, decided_ns=None, length_ns=80 * MS):
     line.permit(Lease(granted_ns=granted_ns, expires_ns=clock.now_ns() + length_ns, sequence=sequence))
 
 
-def test_each_order_is_one_message_that_says_when_it_was_decided_when_it_was_sent_and_what_is_left(line, far, clock):
+def test_each_order_is_one_message_that_states_when_it_was_decided_when_it_was_sent_and_what_is_left(line, far, clock):
     line.rearm()
     clock.advance_ns(10 * MS)
     permit(line, clock, 5, decided_ns=clock.now_ns() - 2 * MS, length_ns=70 * MS)
@@ -208,7 +208,7 @@ def permitted(number, *, at_ms, left_ms=80):
     return encode(Message(K.PERMIT, number, at_ms * MS, at_ms * MS, left_ms * MS))
 
 
-def test_the_receiver_says_when_it_goes_on_when_it_is_held_and_when_and_at_what_end_a_lease_lapsed(
+def test_the_receiver_states_when_it_goes_on_when_it_is_held_and_when_and_at_what_end_a_lease_lapsed(
     monkeypatch, tmp_path, capsys
 ):
     packets = [

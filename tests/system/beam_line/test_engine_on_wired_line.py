@@ -152,7 +152,7 @@ def test_a_line_that_is_unplugged_while_disarmed_faults_too(room):
     assert room.fault().reason is HoldReason.BEAM_LINE_FAILED
 
 
-def test_a_session_on_a_line_that_is_not_there_fails_and_says_so():
+def test_a_session_on_a_line_that_is_not_there_fails_and_states_it():
     loop = _engine(wire_to("tcp", "1"))
     loop.start()
     assert loop.join(PATIENCE_S)

@@ -133,7 +133,7 @@ def _turn_on(beam: DatagramBeamLine) -> None:
     pytest.fail("the line never read on")
 
 
-def test_an_engine_that_ends_says_so_to_the_line(line):
+def test_an_engine_that_ends_states_it_to_the_line(line):
     path, receiver = line
     with _opened(path) as beam:
         for _ in range(TRIES):

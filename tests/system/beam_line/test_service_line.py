@@ -75,7 +75,7 @@ def test_a_session_turns_a_real_receiver_on_and_leaves_it_off(client, far, regul
     assert audit_rows(client, "service.start")[0]["detail"]["is_simulated_beam"] is False
 
 
-def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client, far, regular_volunteer):
+def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_states_why(client, far, regular_volunteer):
     far.process.kill()
     far.process.wait()
     session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
@@ -89,7 +89,7 @@ def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client
     [{}, {"mode": "clinical", "hardware_dead_man": True, **OBLIGATORY, **DEFAULTS}],
     ids=["research", "clinical"],
 )
-def test_no_recording_gates_a_real_line_unless_the_site_says_so(client, far, regular_volunteer):
+def test_no_recording_gates_a_real_line_unless_the_site_states_it(client, far, regular_volunteer):
     calibration_id = upload(client, (regular_volunteer / "calibration.json").read_bytes()).json()["id"]
     answer = client.post("/api/v1/sessions", json=make_session_body(calibration_id) | {"source": FILM})
     assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")
@@ -111,7 +111,7 @@ def test_a_recording_that_was_allowed_when_its_session_was_made_is_refused_when_
     assert far.seen == []
 
 
-def test_a_recording_that_gates_a_real_line_is_said_loudly_in_the_audit(client, regular_volunteer):
+def test_a_recording_that_gates_a_real_line_is_stated_loudly_in_the_audit(client, regular_volunteer):
     session_id = _started(client, (regular_volunteer / "calibration.json").read_bytes())
     assert "REAL beam line" in detail_of(client, session_id)["source_warning"]
     act(client, session_id, "stop")

@@ -69,7 +69,7 @@ def test_a_desk_s_screen_is_not_called_too_small(tab: Tab):
 class TestForcedColours:
     """A person's own colours in place of the page's."""
 
-    def test_each_state_of_the_gate_is_told_by_word_and_shape(
+    def test_each_state_of_the_gate_is_reported_by_word_and_shape(
         self, shared_context: BrowserContext, door: tuple[Door, str]
     ):
         words, shapes = {}, {}

@@ -99,7 +99,7 @@ def test_an_alarm_that_has_just_appeared_is_not_acknowledged_by_a_click(fake: Fa
     assert acknowledged(fake)[-1] == {"operator": "A. Therapist", "alarms": [3]}
 
 
-def test_a_beam_without_a_permit_is_said_at_the_gate_too_where_another_fault_is_latched(fake: FakeService, tab: Tab):
+def test_a_beam_without_a_permit_is_stated_at_the_gate_too_where_another_fault_is_latched(fake: FakeService, tab: Tab):
     fake.mode, fake.sample, fake.alarms = "samples", FAULT, (BEAM, LOST)
     page = tab.open("fault")
     expect(page.locator("#gate-warning")).to_have_text(

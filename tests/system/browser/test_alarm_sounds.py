@@ -134,7 +134,7 @@ def test_a_new_alarm_as_urgent_ends_the_silence(
     assert (pulses(page) != []) is is_heard
 
 
-def test_what_the_browser_does_not_play_is_said(fake: FakeService, stepped: SteppedPage):
+def test_what_the_browser_does_not_play_is_stated(fake: FakeService, stepped: SteppedPage):
     page = open_page(stepped, allowed=False)
     fake.alarms = (HIGH,)
     stepped.advance(1000)

@@ -62,7 +62,7 @@ def test_what_is_known_of_the_breath_is_shown_with_sign(fake: FakeService, tab: 
     expect(page.locator("#phase-dot")).to_have_attribute("visibility", "visible")
 
 
-def test_a_phase_that_is_not_known_says_why_and_the_ring_points_nowhere(fake: FakeService, tab: Tab):
+def test_a_phase_that_is_not_known_states_why_and_the_ring_points_nowhere(fake: FakeService, tab: Tab):
     page = show(fake, tab, breath=BREATH | {"phase_percent": None, "phase_confidence": 0.0, "note": "a cough"})
     expect(page.locator("#phase-value")).to_have_text(NONE)
     expect(page.locator("#phase-note")).to_have_text("Phase unknown: a cough")
@@ -97,7 +97,7 @@ def test_a_stream_that_stops_leaves_no_figure_of_the_breath(fake: FakeService, s
         expect(page.locator(f"#{name}")).to_have_text(NONE)
 
 
-def test_events_are_told_in_words_with_time_and_confidence(fake: FakeService, tab: Tab):
+def test_events_are_reported_in_words_with_time_and_confidence(fake: FakeService, tab: Tab):
     events = [
         {"kind": "apnoea", "confidence": 0.91, "since_s": 12.4, "detail": ""},
         {"kind": "drift", "confidence": 0.8, "since_s": 30.0, "detail": "0.2 mm/s"},
@@ -209,7 +209,7 @@ def test_a_small_drift_and_a_phase_alone_offer_no_correction(fake: FakeService, 
     expect(page.locator("#do-correct")).to_be_disabled()
 
 
-def test_a_slow_answer_is_said_in_colour(fake: FakeService, tab: Tab):
+def test_a_slow_answer_is_stated_in_colour(fake: FakeService, tab: Tab):
     page = show(fake, tab, latency_ms={"last": 131.0, "p50": 31.2, "p99": 96.0, "max": 131.0, "warned": True})
     expect(page.locator("#figure-latency")).to_have_text("131.0 · 31.2 · 96.0 · 131.0")
     expect(page.locator("#figure-latency")).to_have_attribute("data-bad", "yes")

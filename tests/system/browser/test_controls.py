@@ -33,7 +33,7 @@ def calls_to(fake: FakeService, path: str) -> list[object]:
     return [body for called, body in fake.posts() if called == f"/sessions/{SESSION_ID}/{path}"]
 
 
-def test_a_viewer_is_offered_nothing_and_told_why(fake: FakeService, tab: Tab):
+def test_a_viewer_is_offered_nothing_and_reported_why(fake: FakeService, tab: Tab):
     fake.mode, fake.sample, fake.person = "samples", DISARMED, person("V. Iewer", Role.VIEWER)
     page = tab.open("disarmed")
     expect_enabled(page)
@@ -83,7 +83,9 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
         ("acknowledge", "acknowledge", FAULT),
     ],
 )
-def test_a_button_sends_its_call_once_and_says_who(fake: FakeService, tab: Tab, button: str, path: str, message: dict):
+def test_a_button_sends_its_call_once_and_states_who(
+    fake: FakeService, tab: Tab, button: str, path: str, message: dict
+):
     fake.mode, fake.sample, fake.person = "samples", message, person("Ada L.")
     page = tab.open(message["gate"])
     page.click(f"#do-{button}")
@@ -142,7 +144,7 @@ def test_a_refusal_shows_the_field_and_the_bound(fake: FakeService, tab: Tab):
         expect(page.locator("#outcome")).to_contain_text(part)
 
 
-def test_a_disarm_that_fails_says_what_else_stops_the_beam(fake: FakeService, tab: Tab):
+def test_a_disarm_that_fails_states_what_else_stops_the_beam(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(gate="hold")
     fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
     page = tab.open("hold")
@@ -206,7 +208,9 @@ def test_a_message_ends_with_the_state_it_belongs_to(fake: FakeService, stepped:
     expect(page.locator("#outcome")).to_have_text("")
 
 
-def test_a_failed_disarm_stays_said_while_the_state_is_unknown_and_not_longer(fake: FakeService, stepped: SteppedPage):
+def test_a_failed_disarm_stays_stated_while_the_state_is_unknown_and_not_longer(
+    fake: FakeService, stepped: SteppedPage
+):
     page = stepped.open_settled(sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True))
     fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
     page.click("#do-disarm")

@@ -34,7 +34,7 @@ def test_the_tables_say_what_the_drawings_show(fake: FakeService, tab: Tab):
     expect(page.locator("#table-holds tr").nth(1)).to_have_text("Outside the window34")
 
 
-def test_what_is_not_present_is_not_listed_and_the_table_says_so(fake: FakeService, stepped: SteppedPage):
+def test_what_is_not_present_is_not_listed_and_the_table_states_it(fake: FakeService, stepped: SteppedPage):
     page = stepped.open_settled(DISARMED)
     page.click("#do-tables")
     stepped.advance(8_000)

@@ -87,7 +87,7 @@ def test_a_fault_does_not_give_way_to_stale_while_the_engine_is_replaced(stepped
     assert stepped.kind == "stale"
 
 
-def test_a_lost_connection_says_so_and_comes_back_by_itself(fake: FakeService, stepped: SteppedPage):
+def test_a_lost_connection_states_it_and_comes_back_by_itself(fake: FakeService, stepped: SteppedPage):
     page = stepped.open(BEAM_ON)
     fake.is_up = False
     stepped.advance_until(lambda: stepped.kind == "offline")

@@ -102,7 +102,7 @@ def test_changes_are_spoken_and_faults_at_once(fake: FakeService, tab: Tab):
     expect(page.locator("#say-now[aria-live=assertive]")).to_contain_text("Fault. The camera is disconnected")
 
 
-def test_what_this_is_not_is_always_said(fake: FakeService, tab: Tab):
+def test_what_this_is_not_is_always_stated(fake: FakeService, tab: Tab):
     page = tab.open("idle")
     expect(page.get_by_text("Research — not for clinical use")).to_be_visible()
     fake.mode = "samples"

@@ -49,7 +49,7 @@ def test_the_hold_key_works_from_anywhere_even_while_typing(fake: FakeService, t
     assert calls_to(fake, "hold") == [{}, {}]
 
 
-def test_a_hold_that_fails_says_what_else_stops_the_beam(fake: FakeService, tab: Tab):
+def test_a_hold_that_fails_states_what_else_stops_the_beam(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", BEAM_ON
     fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
     page = tab.open("beam_on")
@@ -93,7 +93,7 @@ def test_release_is_never_where_hold_was(fake: FakeService, tab: Tab):
     assert calls_to(fake, "release") == []
 
 
-def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, tab: Tab):
+def test_who_holds_is_stated_also_where_another_reason_is_reported(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", HELD
     page = tab.open("hold")
     expect(page.locator("#gate-detail")).to_have_text("held by C. Nurse")
@@ -101,7 +101,7 @@ def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, 
     expect(page.locator("#gate-detail")).to_have_text("4.10 mm is not inside -1 to 3 mm · Also held by C. Nurse.")
 
 
-def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, stepped: SteppedPage):
+def test_the_page_of_anyone_who_armed_reports_every_second_that_they_are_there(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     page = stepped.open_settled(DISARMED)
     press_arm_stepped(stepped)
@@ -133,7 +133,7 @@ def test_presence_is_kept_over_a_reload(fake: FakeService, stepped: SteppedPage)
 
 
 @pytest.mark.parametrize("armed_by", ["Ada L.", "C. Nurse"])
-def test_a_page_that_did_not_arm_speaks_for_nobody_while_a_person_s_gate_is_armed(
+def test_a_page_that_did_not_arm_speaks_for_no_one_while_a_person_s_gate_is_armed(
     fake: FakeService, stepped: SteppedPage, armed_by: str
 ):
     fake.person = ADA
@@ -143,7 +143,7 @@ def test_a_page_that_did_not_arm_speaks_for_nobody_while_a_person_s_gate_is_arme
 
 
 @pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
-def test_a_screen_in_the_distance_view_is_nobody_who_is_there(fake: FakeService, stepped: SteppedPage, sample: dict):
+def test_a_screen_in_the_distance_view_is_no_one_who_is_there(fake: FakeService, stepped: SteppedPage, sample: dict):
     fake.person = ADA
     stepped.open(sample)
     stepped.page.evaluate("document.body.dataset.view = 'distance'")
@@ -154,7 +154,7 @@ def test_a_screen_in_the_distance_view_is_nobody_who_is_there(fake: FakeService,
 
 
 @pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
-def test_where_no_person_answers_for_the_gate_each_page_of_who_may_arm_tells_that_they_are_there(
+def test_where_no_person_answers_for_the_gate_each_page_of_who_may_arm_reports_that_they_are_there(
     fake: FakeService, stepped: SteppedPage, sample: dict
 ):
     fake.person = ADA
@@ -169,7 +169,7 @@ def test_where_no_person_answers_for_the_gate_each_page_of_who_may_arm_tells_tha
     assert len(calls_to(fake, "presence")) == told, "who may not arm answers for no gate"
 
 
-def test_the_page_of_whoever_released_answers_from_then_on(fake: FakeService, stepped: SteppedPage):
+def test_the_page_of_anyone_who_released_answers_from_then_on(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     stepped.open_settled(HELD | {"armed_by": "C. Nurse"})
     release_of_another(stepped)

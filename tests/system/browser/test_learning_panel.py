@@ -68,7 +68,7 @@ def waiting_patient() -> Patient:
     return patient
 
 
-def test_a_model_that_waits_is_said_and_applied_by_name(fake: FakeService, tab: Tab):
+def test_a_model_that_waits_is_stated_and_applied_by_name(fake: FakeService, tab: Tab):
     """The engine's own words for it, so that neither side changes them alone."""
     waiting = learning_message(waiting_patient().learner.models.progress)
     assert waiting == WAITING
@@ -125,7 +125,7 @@ def test_a_refused_apply_shows_why(fake: FakeService, tab: Tab):
     expect(page.locator("#outcome")).to_have_text("Apply: no new model waits to be applied")
 
 
-def test_learning_again_keeps_the_reference_unless_told_otherwise_and_only_once(fake: FakeService, tab: Tab):
+def test_learning_again_keeps_the_reference_unless_reported_otherwise_and_only_once(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
     for keeps in (True, False):
@@ -199,7 +199,7 @@ def test_a_first_reference_that_sets_itself_is_not_asked_for(fake: FakeService, 
     expect(page.locator("#do-arm")).to_be_enabled()
 
 
-def test_nobody_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeService, tab: Tab):
+def test_no_one_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeService, tab: Tab):
     patient = Patient()
     model = patient.learn()
     today = Patient()

@@ -52,7 +52,7 @@ def test_a_page_without_a_log_in_asks_for_one_and_shows_nothing(fake: FakeServic
     assert (fake.connections, fake.pictures) == (0, 0)
 
 
-def test_the_enter_key_logs_in_and_the_header_says_who(fake: FakeService, tab: Tab, locked: Page):
+def test_the_enter_key_logs_in_and_the_header_states_who(fake: FakeService, tab: Tab, locked: Page):
     log_in(locked)
     tab.sees("beam_on")
     expect(locked.locator("#access")).to_be_hidden()
@@ -68,7 +68,7 @@ def test_the_enter_key_logs_in_and_the_header_says_who(fake: FakeService, tab: T
 
 
 @pytest.mark.parametrize(("name", "password"), [("Ada L.", "wrong horse"), ("Nobody", PASSWORD)])
-def test_a_refused_log_in_says_the_same_whatever_was_wrong(fake: FakeService, locked: Page, name: str, password: str):
+def test_a_refused_log_in_states_the_same_whatever_was_wrong(fake: FakeService, locked: Page, name: str, password: str):
     log_in(locked, name, password)
     expect(locked.locator("#log-in-outcome")).to_have_text("Name or password is wrong.")
     expect(locked.locator("#log-in-outcome")).to_have_attribute("role", "alert")
@@ -80,7 +80,7 @@ def test_a_refused_log_in_says_the_same_whatever_was_wrong(fake: FakeService, lo
     expect(locked.locator("#access")).to_be_hidden()
 
 
-def test_what_is_missing_is_said_without_asking_the_controller(fake: FakeService, locked: Page):
+def test_what_is_missing_is_stated_without_asking_the_controller(fake: FakeService, locked: Page):
     locked.locator("#log-in").get_by_label("Name", exact=True).fill("Ada L.")
     locked.keyboard.press("Enter")
     expect(locked.locator("#log-in-outcome")).to_have_text("Enter your password.")
@@ -237,7 +237,7 @@ def test_a_page_that_was_logged_out_tries_no_stream_any_more(stepped: SteppedPag
     assert len([url for url in requests if url.startswith("ws")]) == sockets == 1
 
 
-def test_a_log_out_that_is_not_heard_is_said_and_the_person_stays_logged_in(fake: FakeService, tab: Tab):
+def test_a_log_out_that_is_not_heard_is_stated_and_the_person_stays_logged_in(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
     page.route("**/api/v1/logout", lambda route: route.abort())
@@ -258,7 +258,7 @@ def test_logging_out_while_a_gate_is_armed_asks_once_more(fake: FakeService, tab
     assert [path for path, _ in fake.posts()] == ["/logout"]
 
 
-def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeService, stepped: SteppedPage):
+def test_a_log_in_that_ends_while_the_beam_is_on_is_stated_at_once(fake: FakeService, stepped: SteppedPage):
     """The socket closes with 1008 and every call is refused: nothing that was live stays on the screen."""
     fake.person, fake.is_breathing = ADA, True
     fake.passwords["Ada L."] = (PASSWORD, ADA)

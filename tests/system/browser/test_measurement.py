@@ -130,7 +130,7 @@ def test_thorax_and_abdomen_can_be_looked_at_and_the_gated_signal_is_named(fake:
     expect(page.locator("#trace-value")).to_have_text("3.5")
 
 
-def test_the_map_tells_each_cell_and_says_which_were_not_measured(fake: FakeService, tab: Tab):
+def test_the_map_reports_each_cell_and_states_which_were_not_measured(fake: FakeService, tab: Tab):
     regions = [[1.0 * row - 2.0 for _ in range(8)] for row in range(14)]
     regions[0][0] = None
     fake.mode, fake.sample = "samples", sample(regions_mm=regions)

@@ -45,7 +45,7 @@ def test_the_panel_shows_the_figures_and_both_breaths(fake: FakeService, tab: Ta
     expect(page.locator("#quality-table tr").nth(14).locator("td").nth(7)).to_have_text("2.50")
 
 
-def test_a_model_without_maps_shows_its_figures_and_says_so(fake: FakeService, tab: Tab):
+def test_a_model_without_maps_shows_its_figures_and_states_it(fake: FakeService, tab: Tab):
     give_model(fake, measured_mm=None, reconstructed_mm=None, residual_mm=None)
     page = opened(fake, tab)
     expect(page.locator("#quality-note")).to_have_text("An earlier version made this model: it has no maps.")
@@ -53,7 +53,7 @@ def test_a_model_without_maps_shows_its_figures_and_says_so(fake: FakeService, t
     expect(page.locator("#quality-maps")).to_be_hidden()
 
 
-def test_a_model_that_cannot_be_read_is_said_and_shows_nothing(fake: FakeService, tab: Tab):
+def test_a_model_that_cannot_be_read_is_stated_and_shows_nothing(fake: FakeService, tab: Tab):
     give_model(fake)
     del fake.of_model[f"/models/{MODEL_ID}/quality-maps"]
     page = opened(fake, tab)

@@ -134,7 +134,7 @@ def test_the_countdown_is_drawn_in_whole_seconds(coach, screen):
     expect(page.locator(".seconds")).to_have_text("")
 
 
-def test_practice_is_said_on_the_screen(coach, screen):
+def test_practice_is_stated_on_the_screen(coach, screen):
     page = shows(screen, coach, is_practice=True)
     expect(page.locator(".practice")).to_have_text("Practice")
 
@@ -153,7 +153,7 @@ def test_a_screen_that_is_not_paired_asks_for_the_code_and_then_shows_the_guidan
     assert [body for _, _, body in coach.calls] == [{"code": "111111"}, {"code": CODE}]
 
 
-def test_an_address_that_has_to_wait_is_told_how_long(coach, patient_tab):
+def test_an_address_that_has_to_wait_is_reported_how_long(coach, patient_tab):
     coach.is_paired, coach.wait_s = False, 64
     patient_tab.page.goto(patient_tab.url)
     patient_tab.page.fill("#pair-code", "123456")

@@ -62,7 +62,7 @@ def test_only_those_who_manage_people_are_offered_to(fake: FakeService, tab: Tab
     assert not [path for _, path, _ in fake.calls if path.endswith(("/users", "/keys"))]
 
 
-def test_an_admin_who_is_alone_is_told_what_comes_next(fake: FakeService, tab: Tab):
+def test_an_admin_who_is_alone_is_reported_what_comes_next(fake: FakeService, tab: Tab):
     fake.person = ADMIN
     page = tab.open("idle")
     expect(page.locator("#people")).to_be_visible()
@@ -112,7 +112,7 @@ def test_roles_are_changed_by_their_ticks(fake: FakeService, panel: Page):
     assert set(fake.people[1]["roles"]) == {"viewer", "therapist"}
 
 
-def test_a_refused_change_is_said_and_the_ticks_say_what_is(fake: FakeService, panel: Page):
+def test_a_refused_change_is_stated_and_the_ticks_state_what_is(fake: FakeService, panel: Page):
     fake.problem = (409, {"code": "last_admin", "detail": "somebody has to be able to administer"})
     row = panel.locator("#people-list li").first
     row.locator("[value=admin]").uncheck()
@@ -171,7 +171,7 @@ def test_a_key_is_revoked_by_two_clicks_and_ended_ones_offer_nothing(fake: FakeS
     assert fake.posts() == [("/keys/plan/revoke", {})]
 
 
-def test_what_cannot_be_told_is_not_shown_as_if_there_were_nobody(fake: FakeService, tab: Tab):
+def test_what_cannot_be_reported_is_not_shown_as_if_there_were_no_one(fake: FakeService, tab: Tab):
     fake.person = ADMIN
     page = tab.open("idle")
     expect(page.locator("#people-list li")).to_have_count(1)

@@ -105,7 +105,7 @@ def test_a_signed_position_names_the_person_and_may_be_armed(learned: FakeServic
     expect(page.locator("#do-arm")).to_be_enabled()
 
 
-def test_a_lapse_says_what_to_do(learned: FakeService, tab: Tab):
+def test_a_lapse_states_what_to_do(learned: FakeService, tab: Tab):
     learned.sample = disarmed(position_check=check(status="lapsed", lapse="the patient moved"))
     page = tab.open("disarmed")
     expect(page.locator("#position-text")).to_contain_text("taken again: the patient moved")

@@ -9,7 +9,7 @@ from tests.support.browser.tab import Tab
 pytestmark = pytest.mark.browser
 
 
-def test_the_newest_run_of_each_kind_is_told_in_words_with_its_report(fake: FakeService, tab: Tab):
+def test_the_newest_run_of_each_kind_is_reported_in_words_with_its_report(fake: FakeService, tab: Tab):
     fake.sessions = []
     fake.qa = qa_status(
         daily=qa_run("daily", "pass"),
@@ -35,7 +35,7 @@ def test_the_newest_run_of_each_kind_is_told_in_words_with_its_report(fake: Fake
         ("the newest QA (daily, 2026-11-21 06:30 UTC) failed (plate_noise_mm): find out why", "QA failed"),
     ],
 )
-def test_while_nobody_can_arm_the_page_says_so_all_the_time_and_why(
+def test_while_no_one_can_arm_the_page_states_it_all_the_time_and_why(
     fake: FakeService, tab: Tab, refusal: str, word: str
 ):
     fake.mode, fake.sample = "samples", sample()

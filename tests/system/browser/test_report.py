@@ -120,7 +120,7 @@ def test_a_session_from_a_plan_is_continued_from_it(fake: FakeService, tab: Tab)
     assert request.repeats_fraction is not None
 
 
-def test_without_a_model_it_says_that_it_trains_again(fake: FakeService, tab: Tab):
+def test_without_a_model_it_states_that_it_trains_again(fake: FakeService, tab: Tab):
     page = opened(fake, tab, over("interrupted"), models=())
     expect(page.locator(OFFER)).to_have_text("Continue, training again")
     page.click(OFFER)
@@ -128,7 +128,7 @@ def test_without_a_model_it_says_that_it_trains_again(fake: FakeService, tab: Ta
     assert "model_id" not in created(fake)[0]
 
 
-def test_a_refusal_is_said_and_the_offer_stays(fake: FakeService, tab: Tab):
+def test_a_refusal_is_stated_and_the_offer_stays(fake: FakeService, tab: Tab):
     page = opened(fake, tab, over("interrupted"))
     fake.problem = (422, {"detail": "continues must be a session that none continues", "field": "continues"})
     page.click(OFFER)
@@ -136,7 +136,7 @@ def test_a_refusal_is_said_and_the_offer_stays(fake: FakeService, tab: Tab):
     expect(page.locator(OFFER)).to_be_enabled()
 
 
-def test_who_may_not_create_sessions_is_told_and_offered_nothing(fake: FakeService, tab: Tab):
+def test_who_may_not_create_sessions_is_reported_and_offered_nothing(fake: FakeService, tab: Tab):
     fake.person = person("V. Viewer", Role.VIEWER)
     page = opened(fake, tab, over("interrupted"))
     expect(page.locator(OFFER)).to_be_disabled()

@@ -86,7 +86,7 @@ def test_a_refusal_points_at_its_field(fake: FakeService, tab: Tab, empty: Page)
     expect(empty.locator("[name='window.upper_percent']")).to_have_attribute("aria-invalid", "false")
 
 
-def test_a_missing_calibration_is_said_and_can_be_uploaded(fake: FakeService, tab: Tab, tmp_path: Path):
+def test_a_missing_calibration_is_stated_and_can_be_uploaded(fake: FakeService, tab: Tab, tmp_path: Path):
     fake.sessions, fake.calibrations = [], []
     page = tab.open("idle")
     expect(page.locator("[name=calibration_id]")).to_contain_text("No calibration yet")
@@ -125,7 +125,9 @@ def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService,
 
 
 @pytest.mark.parametrize(("kind", "is_shown"), [("device registration", True), ("uploaded", False)])
-def test_a_session_that_was_not_calibrated_says_so_all_the_time(fake: FakeService, tab: Tab, kind: str, is_shown: bool):
+def test_a_session_that_was_not_calibrated_states_it_all_the_time(
+    fake: FakeService, tab: Tab, kind: str, is_shown: bool
+):
     fake.mode, fake.sample = "samples", sample() | {"calibration": kind}
     page = tab.open("hold")
     badge = page.locator("#badge-uncalibrated")
@@ -133,7 +135,7 @@ def test_a_session_that_was_not_calibrated_says_so_all_the_time(fake: FakeServic
 
 
 @pytest.mark.parametrize("warning", ["RECORDING: a played recording gates a REAL beam line", None])
-def test_a_session_whose_recording_gates_a_real_line_says_so_all_the_time(fake: FakeService, tab: Tab, warning: str):
+def test_a_session_whose_recording_gates_a_real_line_states_it_all_the_time(fake: FakeService, tab: Tab, warning: str):
     fake.mode, fake.sample = "samples", sample() | {"is_simulated_beam": False}
     fake.sessions = [fake.sessions[0] | {"is_simulated_beam": False, "source_warning": warning}]
     badge = tab.open("hold").locator("#badge-played")
@@ -311,7 +313,7 @@ def test_what_the_plan_does_not_provide_for_asks_for_a_reason(fake: FakeService,
     assert page.input_value("#plan-reason input") == ""
 
 
-def test_recordings_are_chosen_from_a_list_and_what_cannot_be_played_says_why(fake: FakeService, tab: Tab):
+def test_recordings_are_chosen_from_a_list_and_what_cannot_be_played_states_why(fake: FakeService, tab: Tab):
     fake.recordings.append(RECORDING | {"path": "cut.oni", "seconds": None, "problem": "cut.oni: is empty"})
     fake.recordings.append(RECORDING | {"path": "depth.oni", "has_color": False})
     fake.sessions = []

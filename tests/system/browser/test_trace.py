@@ -159,7 +159,7 @@ def test_thorax_and_abdomen_are_drawn_beside_the_signal(breathing: Page, fake: F
     assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) < 5
 
 
-def test_the_value_under_the_pointer_is_told_with_time_and_gate(breathing: Page):
+def test_the_value_under_the_pointer_is_reported_with_time_and_gate(breathing: Page):
     readout = breathing.locator("#trace-readout")
     expect(readout).to_have_text("")
     point_at(breathing, 15)
@@ -171,7 +171,7 @@ def test_the_value_under_the_pointer_is_told_with_time_and_gate(breathing: Page)
     expect(readout).to_have_text("")
 
 
-def test_a_part_that_is_dragged_stands_still_says_so_and_goes_back(breathing: Page, fake: FakeService, tab: Tab):
+def test_a_part_that_is_dragged_stands_still_states_it_and_goes_back(breathing: Page, fake: FakeService, tab: Tab):
     frame, held = breathing.locator(FRAME), breathing.locator("#trace-held")
     expect(frame).to_have_attribute("data-live", "yes")
     point_at(breathing, 80)

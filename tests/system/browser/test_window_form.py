@@ -85,7 +85,7 @@ def test_only_the_fields_of_the_kind_and_signal_are_asked_and_the_service_takes_
 
 
 @pytest.mark.parametrize("signal", ["whole", "volume"])
-def test_edges_can_be_told_in_per_cent_of_the_learned_range(fake: FakeService, form: Page, signal: str):
+def test_edges_can_be_reported_in_per_cent_of_the_learned_range(fake: FakeService, form: Page, signal: str):
     choose(form, "signal", signal)
     form.locator("[data-edges]").select_option("percent")
     assert {"lower_percent", "upper_percent", "hysteresis_percent"} <= fields(form)
@@ -126,7 +126,7 @@ def test_up_to_four_conditions_are_joined_and_can_be_removed(fake: FakeService, 
     assert set(window["further"][0]) == {"kind", "signal", "from_percent", "to_percent", "min_confidence"}
 
 
-def test_how_often_the_beam_may_switch_is_left_to_the_site_unless_told(fake: FakeService, form: Page):
+def test_how_often_the_beam_may_switch_is_left_to_the_site_unless_reported(fake: FakeService, form: Page):
     form.fill("[name='window.max_cycles_per_min']", "20")
     window = sent(fake, form)["window"]
     assert window["max_cycles_per_min"] == 20

@@ -51,7 +51,7 @@ def test_a_killed_service_is_waited_for_and_a_person_has_the_rest_of_the_fractio
     assert second.recorded_on_s < 1.6 + 0.5 - first.live_on_s, "what was delivered is not delivered again"
 
 
-def test_the_command_says_by_its_exit_code_and_its_report_what_came_of_it(tmp_path):
+def test_the_command_states_by_its_exit_code_and_its_report_what_came_of_it(tmp_path):
     with quick_room(tmp_path, "--fault-at", "200") as room:
         command = [sys.executable, "-m", "service.cli", "simulate-tps", "--url", room.url]
         given = {

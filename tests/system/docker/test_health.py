@@ -57,7 +57,7 @@ def _tls(environment):
     return {name: value for name, value in environment.items() if "TLS" in name}
 
 
-def test_where_nothing_or_nobody_answers_it_is_not_healthy(health, monkeypatch):
+def test_where_nothing_or_no_one_answers_it_is_not_healthy(health, monkeypatch):
     assert "no answer" in health.trouble_of({"TIDEGATE_PORT": str(free_port())}, None)
     monkeypatch.setattr(health, "TIMEOUT_S", 0.2)
     with socket.socket() as silent:

@@ -107,7 +107,7 @@ def test_a_session_in_a_process_of_its_own_turns_the_beam_on_obeys_and_ends(tmp_
             held.engine.submit(Disarm(operator="ann"))
 
 
-def test_an_engine_s_process_that_is_killed_leaves_the_line_off_and_a_session_that_says_so(tmp_path, line, lateness):
+def test_an_engine_s_process_that_is_killed_leaves_the_line_off_and_a_session_that_states_it(tmp_path, line, lateness):
     with bench(tmp_path, line) as held:
         held.turn_on()
         pid = held.pid
@@ -264,7 +264,7 @@ def test_a_request_to_a_process_that_dies_fails_with_that_reason(tmp_path, line)
                 one.result(5.0)
 
 
-def test_a_session_that_cannot_begin_says_why_in_the_engine_s_own_words_and_the_next_can(tmp_path, line):
+def test_a_session_that_cannot_begin_states_why_in_the_engine_s_own_words_and_the_next_can(tmp_path, line):
     with bench(tmp_path, line, window_upper_mm=5.0) as held:
         wide = Window.model_validate({**WINDOW, "upper_mm": 6.0})
         port = held.port

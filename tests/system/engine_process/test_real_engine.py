@@ -6,7 +6,7 @@ import pytest
 
 from engine.motion.settings import PipelineSettings
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process
+from service.engine_host.process import messages
 from service.engine_host.process.process_engine import ProcessEngine
 from service.sessions.recovery.replay import StoredSession
 from service.storage.database.engine import Database
@@ -24,7 +24,7 @@ FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 
 @pytest.fixture
 def client(tmp_path, regular_volunteer, monkeypatch):
-    monkeypatch.setattr(child_process, "MODULE", "tests.support.engine_process.fast_recording_program")
+    monkeypatch.setattr(messages, "MODULE", "tests.support.engine_process.fast_recording_program")
     settings = Settings(
         data_dir=tmp_path / "data",
         recordings_dirs=(regular_volunteer,),

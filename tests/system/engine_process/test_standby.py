@@ -11,7 +11,7 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, SourceLos
 from service.core.errors import EngineProcessError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process, process_engine, process_engine as port_module
+from service.engine_host.process import messages, process_engine, process_engine as port_module
 from service.engine_host.process.process_engine import LISTED_EARLIER, NEVER_LISTED, ProcessEngine
 from tests.support.engine_process import two_cameras_program
 from tests.support.engine_process.bench import PATIENCE_S, eventually, is_there, line_at, make_plan
@@ -48,12 +48,12 @@ def test_one_stands_by_is_replaced_when_it_dies_and_goes_with_the_service(port):
         port.open(make_plan())
 
 
-def test_one_that_cannot_be_started_is_said_and_tried_again(tmp_path, monkeypatch):
+def test_one_that_cannot_be_started_is_stated_and_tried_again(tmp_path, monkeypatch):
     monkeypatch.setattr(process_engine, "AGAIN_S", 0.05)
-    monkeypatch.setattr(child_process, "MODULE", "tests.service.engine_host.process.no_such_module")
+    monkeypatch.setattr(messages, "MODULE", "tests.service.engine_host.process.no_such_module")
     port = ProcessEngine(Settings(data_dir=tmp_path / "data"))
     eventually(lambda: "ended before it was ready" in (port.trouble or ""))
-    monkeypatch.setattr(child_process, "MODULE", "service.engine_host.process")
+    monkeypatch.setattr(messages, "MODULE", "service.engine_host.process")
     eventually(lambda: port.trouble is None)
     port.close()
 
@@ -67,7 +67,7 @@ def line(tmp_path):
 @pytest.fixture
 def asked(tmp_path, line, monkeypatch):
     """A port whose processes see cameras; this one must not even look."""
-    monkeypatch.setattr(child_process, "MODULE", "tests.support.engine_process.two_cameras_program")
+    monkeypatch.setattr(messages, "MODULE", "tests.support.engine_process.two_cameras_program")
     monkeypatch.setenv(LINE, str(line.path))
     monkeypatch.setattr(c_api, "runtime", lambda: pytest.fail("the service's process asks the runtime"))
     held = ProcessEngine(Settings(data_dir=tmp_path / "data"))
@@ -212,7 +212,7 @@ def test_one_that_hangs_in_a_question_ends_with_a_service_that_is_killed(tmp_pat
 
 def test_one_stands_by_where_two_are_offered(port):
     eventually(lambda: port.trouble is None)
-    first, second = port._standby.take(), child_process.start_child()
+    first, second = port._standby.take(), messages.start_child()
     port._standby.give_back(first)
     port._standby.give_back(second)
     assert port._standby._ready is first

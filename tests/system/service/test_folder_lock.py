@@ -139,7 +139,7 @@ def _is_free(folder):
         return False
 
 
-def test_a_service_whose_recordings_may_gate_a_real_line_says_so_in_its_first_lines(tmp_path, monkeypatch):
+def test_a_service_whose_recordings_may_gate_a_real_line_states_it_in_its_first_lines(tmp_path, monkeypatch):
     monkeypatch.setenv("TIDEGATE_BEAM_LINE", "modbus-tcp")
     monkeypatch.setenv("TIDEGATE_BEAM_MODBUS_HOST", "127.0.0.1")
     monkeypatch.setenv("TIDEGATE_RECORDINGS_MAY_GATE", "true")

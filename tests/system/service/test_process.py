@@ -72,7 +72,7 @@ def test_a_killed_service_loses_no_transition_and_at_most_the_last_second_of_sam
     assert transitions >= len(happened)
 
 
-def test_after_a_kill_the_service_starts_again_and_says_the_session_was_interrupted(self_driving):
+def test_after_a_kill_the_service_starts_again_and_states_the_session_was_interrupted(self_driving):
     process, _, session_id, folder = self_driving
     eventually(lambda: len(lines(folder, "sample")) >= 15, within_s=20.0)
     process.send_signal(signal.SIGKILL)
@@ -123,7 +123,7 @@ def test_the_live_stream_over_a_real_socket_comes_at_the_engine_s_rate(self_driv
     assert {sample["session_id"] for sample in samples} == {session_id}
 
 
-def test_the_command_says_in_one_line_that_its_port_is_taken_and_ends_with_0_on_a_stop_signal(tmp_path):
+def test_the_command_states_in_one_line_that_its_port_is_taken_and_ends_with_0_on_a_stop_signal(tmp_path):
     """On SIGINT; on SIGTERM, as every system sends it, in test_tls_and_first_admin.py too."""
     port = free_port()
     arguments = ("service.cli", "serve", "--port", str(port), "--data", str(tmp_path / "data"))

@@ -227,7 +227,7 @@ def test_a_camera_that_is_not_there_and_a_file_called_a_camera_are_refused(real_
     assert (answer.status_code, answer.json()["code"]) == (503, "source_lost")
 
 
-def test_a_missing_runtime_is_said_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
+def test_a_missing_runtime_is_stated_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
     monkeypatch.setattr(OpenNiDriver, "is_available", lambda _driver: False)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
     with PeopleClient(create_app(settings)) as client:

@@ -117,7 +117,7 @@ def turns(played: Played):
     return read_tape(tape_path(played.data_dir, played.session_id)).turns()
 
 
-def test_the_command_says_so_in_a_line_writes_both_tables_and_tells_its_own_audit(copied, tmp_path, monkeypatch):
+def test_the_command_states_it_in_a_line_writes_both_tables_and_reports_its_own_audit(copied, tmp_path, monkeypatch):
     monkeypatch.setenv("TIDEGATE_DATA_DIR", str(copied.data_dir))
     answer = CliRunner().invoke(app, ["replay", copied.session_id, "--out", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
@@ -195,7 +195,7 @@ def replayed(played: Played):
     return CliRunner().invoke(app, ["replay", played.session_id, "--data", str(played.data_dir)])
 
 
-def test_numbers_of_another_processor_agree_within_a_thousandth_of_a_millimetre_and_the_command_says_so(
+def test_numbers_of_another_processor_agree_within_a_thousandth_of_a_millimetre_and_the_command_states_it(
     copied, monkeypatch
 ):
     of_another_processor(copied, monkeypatch, change=more_mm(5e-4))

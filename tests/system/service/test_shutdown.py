@@ -173,7 +173,7 @@ def test_who_does_not_let_go_in_time_is_left_behind_once_the_session_is_closed(h
     assert "the session is closed" in caplog.text
 
 
-def test_a_session_that_could_not_be_closed_is_said_and_the_process_ends_with_another_code(caplog):
+def test_a_session_that_could_not_be_closed_is_stated_and_the_process_ends_with_another_code(caplog):
     left, go_on = Left(), threading.Event()
     stop = Shutdown(lambda: go_on.wait(20.0) and None, leave=left, within_s=0.2)
     stop.watch()

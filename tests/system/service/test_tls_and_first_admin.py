@@ -142,7 +142,7 @@ def broken_certificate(tmp_path, broken):
 
 
 @pytest.mark.parametrize("broken", REFUSED)
-def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken):
+def test_a_certificate_that_cannot_be_used_is_stated_in_one_line(tmp_path, broken):
     words = ["serve", "--port", str(free_port()), "--data", str(tmp_path / "data")]
     done = CliRunner().invoke(command_line, words, env=broken_certificate(tmp_path, broken))
     assert done.exit_code == 2

@@ -41,7 +41,7 @@ def test_frames_are_lost_exactly_where_requested_and_their_numbers_show_it(camer
     assert back["missed"] >= 5
 
 
-def test_a_receipt_tells_when_the_first_affected_frame_was_raised(camera, onlooker):
+def test_a_receipt_reports_when_the_first_affected_frame_was_raised(camera, onlooker):
     for _ in range(5):
         receipt = camera.offset(-20.0, for_frames=1)
         onlooker.until_frame(receipt.frame_index + 1)
@@ -137,7 +137,7 @@ def test_the_device_s_clock_stands_still(camera, onlooker):
 
 
 @pytest.mark.parametrize("us", [0, 2**50])
-def test_any_time_can_be_said(camera, onlooker, us):
+def test_any_time_can_be_stated(camera, onlooker, us):
     camera.timestamp(us, for_frames=4)
     onlooker.until(lambda: us in {one["timestamp_us"] for one in onlooker.frames}, str(us))
 
@@ -197,7 +197,7 @@ def test_a_hung_native_read_delivers_nothing_until_it_comes_back(camera, onlooke
 
 
 @pytest.mark.parametrize(("state", "words"), [(State.ERROR, "reports an error"), (State.NOT_READY, "is not ready")])
-def test_a_device_state_ends_the_reading_and_says_why(camera, onlooker, state, words):
+def test_a_device_state_ends_the_reading_and_states_why(camera, onlooker, state, words):
     camera.state(state)
     onlooker.until(lambda: not onlooker.is_alive, "an end")
     assert onlooker.said[-2:] == [

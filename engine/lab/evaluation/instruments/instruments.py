@@ -8,9 +8,9 @@ from engine.calibration.camera_calibration import Calibration
 from engine.calibration.laser_plane import load_plane
 from engine.core.errors import InvalidValueError
 from engine.core.frames import FloatArray, Measurement, RgbdFrame
-from engine.lab.evaluation.instruments.cell_surface import CellSurface
 from engine.lab.evaluation.instruments.flow_file import read_flow
 from engine.lab.evaluation.instruments.laser import LaserGauge
+from engine.lab.evaluation.instruments.laser_line import CellSurface
 from engine.lab.evaluation.instruments.spirometer import compare_volumes
 from engine.lab.evaluation.methods.outcome import Array, Outcome
 from engine.lab.phantom.truth import CELL_PX

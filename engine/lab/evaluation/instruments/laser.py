@@ -31,8 +31,7 @@ from engine.calibration.laser_plane import LaserPlane
 from engine.core.errors import InvalidValueError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, ColorImage, FloatArray, Measurement, RgbdFrame
 from engine.lab.evaluation.instruments.agreement import Agreement, agreement, fit_at
-from engine.lab.evaluation.instruments.cell_surface import CellSurface
-from engine.lab.evaluation.instruments.laser_line import DEFAULT_SETTINGS, LineSettings, find_line
+from engine.lab.evaluation.instruments.laser_line import DEFAULT_SETTINGS, CellSurface, LineSettings, find_line
 from engine.motion.stages.regions import check_points
 from engine.motion.stages.roi import color_from_roi
 

@@ -112,7 +112,7 @@ def test_an_on_that_is_no_longer_confirmed_becomes_unknown():
     assert len(held.messages()) == count
 
 
-def test_a_heartbeat_tells_once_a_second_what_is_known():
+def test_a_heartbeat_reports_once_a_second_what_is_known():
     held = Published()
     assert len(held.messages()) == 1
     held.clock.advance_ns(NS_PER_S - 1)

@@ -161,7 +161,7 @@ def answered(monkeypatch):
         ("http:///nowhere", False, ("", None, 0.5), "/nowhere"),
     ],
 )
-def test_a_message_is_posted_to_where_the_address_says_and_how(answered, url, is_secure, to, path):
+def test_a_message_is_posted_to_where_the_address_states_and_how(answered, url, is_secure, to, path):
     HttpSender(url, timeout_s=0.5).send(b"{}")
     plain, secure = answered
     (connection,) = (secure if is_secure else plain).made

@@ -126,7 +126,7 @@ def test_a_hold_counts_from_when_it_was_given_and_not_from_when_it_was_sent(late
         assert trouble.at_ns == held.now_ns
 
 
-def test_a_line_that_answers_on_after_a_hold_is_contrary_and_one_that_says_nothing_has_failed():
+def test_a_line_that_answers_on_after_a_hold_is_contrary_and_one_that_states_nothing_has_failed():
     held = lit().after(20)
     held.check(wants_on=False)
     assert held.after(10).exchange(commands_on=False, reads_on=True) is None
@@ -309,7 +309,7 @@ def test_a_hold_that_was_not_followed_in_time_begins_the_count_of_good_answers_a
 
 
 @pytest.mark.parametrize(("old_ns", "reason"), [(FOLLOW_NS + 1, MISMATCH), (FOLLOW_NS + 2, FAILED)])
-def test_a_line_that_read_on_of_itself_and_says_nothing_more_has_failed_to_prove_off(old_ns, reason):
+def test_a_line_that_read_on_of_itself_and_states_nothing_more_has_failed_to_prove_off(old_ns, reason):
     held = Supervised().after(20)
     assert held.exchange(commands_on=False, reads_on=True).reason is MISMATCH
     assert held.after(ns=old_ns).check(wants_on=False).reason is reason

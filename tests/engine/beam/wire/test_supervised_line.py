@@ -332,7 +332,7 @@ def test_on_is_not_sent_again_before_the_last_off_was_read_back():
     assert world.troubles == []
 
 
-def test_a_hold_that_has_to_wait_for_a_long_exchange_counts_from_when_it_was_said():
+def test_a_hold_that_has_to_wait_for_a_long_exchange_counts_from_when_it_was_stated():
     world = lit(LineTimes(answer_ms=100, settle_ms=60), until_ms=520, answer_ms=5)
     world.at(480, lambda: setattr(world.wire, "answer_ms", 95), lambda: _break(world, "stuck on"))
     world.at(521, world.hold)

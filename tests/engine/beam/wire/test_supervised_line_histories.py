@@ -23,7 +23,9 @@ acts = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(acts, st.integers(1, 40), st.integers(0, 60))
-def test_the_contact_is_on_only_within_a_lease_or_its_way_back_and_never_while_said_to_be_off(story, answer_ms, lag_ms):
+def test_the_contact_is_on_only_within_a_lease_or_its_way_back_and_never_while_stated_to_be_off(
+    story, answer_ms, lag_ms
+):
     world = World(LineTimes(answer_ms=100, settle_ms=60), answer_ms=answer_ms, lag_ms=lag_ms).opened()
     ends_ms = [0]  # until when the beam may have been wanted, newest last
 

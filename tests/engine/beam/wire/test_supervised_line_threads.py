@@ -55,7 +55,7 @@ def test_the_watcher_looks_every_ten_milliseconds_until_the_line_is_closed(monke
     assert len(looks) == 3
 
 
-def test_the_exchanger_rests_after_each_exchange_and_tells_off_at_its_end():
+def test_the_exchanger_rests_after_each_exchange_and_reportsf_at_its_end():
     world = opened()
     line = world.line
     line._wakeups, line._stop_requested = Bell(), Stop(4)

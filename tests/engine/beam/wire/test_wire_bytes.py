@@ -118,7 +118,7 @@ def test_a_status_that_is_none_is_an_error_not_a_state(protocol, said):
         RELAY_PROTOCOLS[protocol].parse(said, 1)
 
 
-def test_a_board_that_says_nothing_or_chatters_without_end_is_given_up():
+def test_a_board_that_states_nothing_or_chatters_without_end_is_given_up():
     with pytest.raises(BeamLineError, match="no status within the time"):
         relay(FakePort([])).exchange(is_on=True, heartbeat=1, within_s=0.02)
     port = FakePort([b"x" * 60] * 1000)

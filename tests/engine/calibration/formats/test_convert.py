@@ -153,7 +153,7 @@ def test_a_rectified_ros_pair_becomes_the_same_cameras():
     assert converted.calibration.depth.distortion == CAMERAS.depth.distortion
 
 
-def test_a_point_seen_by_both_rectified_cameras_lies_where_ros_says():
+def test_a_point_seen_by_both_rectified_cameras_lies_where_ros_states():
     """The projection matrices of ROS and our pose agree on a point in the room."""
     pose = convert(ros_pair(), ImportOptions()).calibration.color_from_depth
     point = np.array([[40.0, -70.0, 850.0]])
@@ -282,7 +282,7 @@ def test_two_documents_in_one_yaml_file_are_a_pair():
         ({"more": 1}, "more"),
     ],
 )
-def test_what_is_said_beside_the_files_is_checked(beside, field):
+def test_what_is_stated_beside_the_files_is_checked(beside, field):
     with pytest.raises(CalibrationError) as refusal:
         read_upload(import_document(plain_pair(), **beside))
     assert refusal.value.field == field

@@ -85,7 +85,7 @@ def test_without_the_sensors_steps_a_reading_is_off_by_its_rounding(plates, fold
     assert rounded.error_mm == pytest.approx(np.hypot(exact.error_mm, 0.29), abs=0.01)
 
 
-def test_one_distance_gives_the_offset_alone_and_says_so(plates):
+def test_one_distance_gives_the_offset_alone_and_states_it(plates):
     reading = plates.readings[1]
     scale = fit_depth_scale([reading, reading], [850.0, 850.5])
     assert not scale.has_scale
@@ -169,7 +169,7 @@ def test_a_distance_that_is_wrong_is_named():
     assert "1000.oni" in refusal.value.value
 
 
-def test_the_residuals_themselves_tell_when_distances_were_measured_worse_than_said():
+def test_the_residuals_themselves_report_when_distances_were_measured_worse_than_stated():
     readings = [made_reading(value) for value in (600.0, 801.0, 1002.0, 1199.0)]
     scale = fit_depth_scale(readings, [602.0, 798.0, 1004.0, 1198.0], distance_error_mm=0.1)
     assert scale.error_mm > 0.5

@@ -74,7 +74,7 @@ def test_without_noise_the_cameras_come_back_exactly():
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_with_noise_they_come_back_within_what_is_said(seed):
+def test_with_noise_they_come_back_within_what_is_stated(seed):
     result = calibrate(BOARD, found(make_pairs(seed=seed)), camera="bench")
     errors_mm = alignment_errors_mm(result.calibration)
     said = result.accuracy
@@ -86,7 +86,7 @@ def test_with_noise_they_come_back_within_what_is_said(seed):
     assert result.fit.outliers == {}
 
 
-def test_what_is_said_of_the_accuracy_holds_in_the_mean():
+def test_what_is_stated_of_the_accuracy_holds_in_the_mean():
     """Root mean square error over several sets of pictures, against the root mean square of what was said."""
     results = [calibrate(BOARD, found(make_pairs(seed=seed)), camera="bench") for seed in range(10, 14)]
     true_mm = np.sqrt(np.mean([np.square(alignment_errors_mm(result.calibration)).mean() for result in results]))

@@ -150,7 +150,7 @@ def test_a_recording_without_depth_is_refused(tmp_path):
         OniReader(tmp_path / "a.oni")
 
 
-def test_a_recording_that_says_no_picture_size_is_refused(tmp_path):
+def test_a_recording_that_states_no_picture_size_is_refused(tmp_path):
     recording = OldRecording(version=(1, 0, 1, 0))
     recording.node(1, 2, "Depth", b"16zT", 9)
     recording.record(11, 0)

@@ -143,7 +143,7 @@ def test_files_that_were_played_are_not_listed_as_devices(tmp_path):
     assert not [device for device in openni.list_devices() if device.uri.endswith(".oni")]
 
 
-def test_a_missing_runtime_says_what_to_install(monkeypatch, tmp_path):
+def test_a_missing_runtime_states_what_to_install(monkeypatch, tmp_path):
     path = write_recording(tmp_path / "a.oni", frames=1)
     monkeypatch.setattr(c_api, "_load", c_api._load.__wrapped__)
     monkeypatch.setattr(c_api, "library_path", lambda: None)

@@ -74,7 +74,7 @@ def test_a_hold_waits_for_nothing_and_is_in_the_file_when_the_line_was_commanded
     assert seen[first_hold : first_hold + 2] == ["beam_on", "hold"]  # commanded first, recorded before the next frame
 
 
-def test_the_file_tells_the_same_transitions_as_the_queue_under_the_same_numbers(journal):
+def test_the_file_reports_the_same_transitions_as_the_queue_under_the_same_numbers(journal):
     bench = armed_bench([good] * 8, journal=journal).run()
     queued = bench.transitions()
     assert [entry.transition for entry in kept(journal).entries] == queued
@@ -139,7 +139,7 @@ def test_a_ring_that_went_round_keeps_the_newest_and_names_no_number_missing(jou
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_a_slot_damaged_anywhere_is_said_and_never_believed(journal, seed):
+def test_a_slot_damaged_anywhere_is_stated_and_never_believed(journal, seed):
     chance = random.Random(seed)
     for number in range(1, 9):
         journal.commit(transition(number, detail="x" * chance.randrange(900)))
@@ -188,7 +188,7 @@ def test_a_header_with_one_bit_changed_is_no_journal(journal):
         read_journal(bytes(content))
 
 
-def test_the_header_says_whose_it_is_and_ties_both_clocks(tmp_path):
+def test_the_header_states_whose_it_is_and_ties_both_clocks(tmp_path):
     clock = MonotonicClock()
     before_ns = clock.now_ns()
     journal = TransitionJournal(tmp_path / "ring", session_id="abc", clock=clock)
@@ -198,7 +198,7 @@ def test_the_header_says_whose_it_is_and_ties_both_clocks(tmp_path):
     assert before_ns <= header.anchor_ns <= clock.now_ns()
 
 
-def test_text_without_end_is_cut_and_says_so_and_odd_text_comes_back(journal):
+def test_text_without_end_is_cut_and_states_it_and_odd_text_comes_back(journal):
     journal.commit(transition(1, detail="ü" * 5000, operator="Ø" * 300))
     journal.commit(transition(2, detail="ü🫁 \n", operator="Dr. Ø", reason=HoldReason.DWELL, armed_by="Schw. Æ"))
     journal.commit(transition(3, detail="ü" * 5000, operator="Ø" * 300, armed_by="Ø" * 80))
@@ -234,7 +234,7 @@ def test_only_its_owner_can_read_it_and_no_link_is_followed(tmp_path, journal):
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_no_room_for_it_is_said_and_leaves_nothing(tmp_path, monkeypatch):
+def test_no_room_for_it_is_stated_and_leaves_nothing(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 

@@ -133,7 +133,7 @@ def test_after_a_second_unmeasured_an_end_of_exhale_has_to_be_seen(is_lost):
     ],
 )
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_after_a_gap_the_height_without_breathing_also_tells_the_level(window, one, limit_mm, sign):
+def test_after_a_gap_the_height_without_breathing_also_reports_the_level(window, one, limit_mm, sign):
     back_us = measured(60).timestamp_us
     for share, measured_us, is_held in ((0.95, back_us, False), (1.05, back_us, True), (0.0, back_us - 1, True)):
         baseline = Baseline(LIMITS)
@@ -185,7 +185,7 @@ def test_after_a_step_the_beam_is_not_on_at_another_level_beyond_the_first_breat
 
 
 @pytest.mark.parametrize(("drift", "way"), [(2.5, "towards"), (-2.5, "away from")])
-def test_a_drift_says_how_far_and_which_way(drift, way):
+def test_a_drift_states_how_far_and_which_way(drift, way):
     assert held(WIDE, breath(drift)).detail == (
         f"whole: the end of exhale is 2.5 mm {way} the camera, 2 allowed: correct the baseline, or set the reference "
         "again"
@@ -211,7 +211,7 @@ def test_an_end_of_exhale_counts_from_the_first_frame_after_a_gap_itself(exhale_
 
 
 @pytest.mark.parametrize(("beyond_mm", "is_held"), [(0.0, False), (0.001, True)])
-def test_a_height_that_equals_the_bound_tells_the_level(beyond_mm, is_held):
+def test_a_height_that_equals_the_bound_reports_the_level(beyond_mm, is_held):
     at_us = measured(70).timestamp_us
     position = BodyPosition(measured_us=at_us, height_mm=2.0 + beyond_mm, tilt_deg=0.0, roll_deg=0.0)
     assert (back_from_a_gap(exhale_us=-1, position=position) is not None) is is_held
@@ -225,7 +225,7 @@ def test_a_level_is_known_over_a_second_and_not_over_a_longer_gap_or_a_clock_tha
     assert (baseline.check(late, WIDE) is not None) is is_held
 
 
-def test_an_unknown_level_says_what_has_to_be_seen():
+def test_an_unknown_level_states_what_has_to_be_seen():
     assert back_from_a_gap(exhale_us=-1).detail == (
         "not measured for 2.3 s, and the patient may lie elsewhere: an end of exhale has to be seen, or set the "
         "reference again"

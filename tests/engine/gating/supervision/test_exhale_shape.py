@@ -74,7 +74,7 @@ def test_a_tilt_counts_by_what_it_moves_the_region_s_ends(ends_mm, is_held, sign
     assert found is None or "2.1 mm at the region's ends" in found.detail
 
 
-def test_a_reference_accepts_the_present_shape_and_an_exhale_before_it_says_nothing():
+def test_a_reference_accepts_the_present_shape_and_an_exhale_before_it_states_nothing():
     breathing = Breathing()
     assert breathing.breath(redistributed_mm=2.0) is not None
     breathing.shape.reset()

@@ -91,7 +91,7 @@ def test_a_model_learned_from_nothing_has_nothing_of_the_age_of_one_that_waited_
     assert not is_held(age, 2 * LONGEST_NS, FIRST)
 
 
-def test_a_hold_says_how_old_the_model_is():
+def test_a_hold_states_how_old_the_model_is():
     age = ModelAge(LIMITS)
     is_held(age, 0)
     minutes = LIMITS.max_model_age_min

@@ -338,7 +338,7 @@ def test_it_is_over_at_the_time_limit_itself():
     assert found.states == (replace(being_held(), stage=HoldStage.OVER, since_us=FIRST_US + 3_000_000),)
 
 
-def test_its_stage_says_that_it_drifted_and_when():
+def test_its_stage_states_that_it_drifted_and_when():
     found = judged(22.51, 800.0, being_held())
     assert (found.is_inside, found.reason) == (False, HoldReason.BREATH_HOLD_DRIFTED)
     assert found.detail == "1.5 mm from the settled level, 1.5 allowed"

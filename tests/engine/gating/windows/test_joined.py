@@ -9,7 +9,7 @@ from engine.core.commands import Arm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, GateWindow, JoinedWindow, PhaseWindow
-from engine.gating.windows.joined import MAX_CONDITIONS
+from engine.gating.windows.phase import MAX_CONDITIONS
 from tests.support.gating.streams import LIMITS, Stream, measured, motion_of
 
 CHEST = AmplitudeWindow(choice=SignalChoice(signal="thorax"), lower=-1.0, upper=2.0, hysteresis=0.5)

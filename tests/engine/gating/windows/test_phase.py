@@ -69,7 +69,7 @@ def test_a_phase_that_is_not_known_well_holds_at_once(unknown):
     assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.PHASE_UNKNOWN)
 
 
-def test_a_hold_says_why_the_phase_is_unknown_or_where_it_is():
+def test_a_hold_states_why_the_phase_is_unknown_or_where_it_is():
     stream = armed()
     for seen, reason, detail in (
         (breath(None), HoldReason.PHASE_UNKNOWN, "as the test wants it"),

@@ -203,7 +203,7 @@ def test_edges_that_make_no_window_are_refused_by_field_value_and_bound(changes,
     assert (refusal.value.field, refusal.value.value, refusal.value.bound) == (field, value, bound)
 
 
-def test_a_limit_that_has_to_be_whole_says_so_and_limits_that_have_to_be_in_order_may_be_equal():
+def test_a_limit_that_has_to_be_whole_states_it_and_limits_that_have_to_be_in_order_may_be_equal():
     with pytest.raises(InvalidValueError) as refusal:
         GateLimits(window=WINDOW, min_good_frames=4.5)
     found = refusal.value

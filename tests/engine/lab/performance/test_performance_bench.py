@@ -100,7 +100,7 @@ def test_heap_in_use_rises_by_what_is_held_and_falls_when_it_is_let_go():
     assert heap_in_use_bytes() - before == pytest.approx(0.0, abs=2 * MB)
 
 
-def test_a_session_shorter_than_its_warm_up_says_nothing_of_memory():
+def test_a_session_shorter_than_its_warm_up_states_nothing_of_memory():
     with pytest.raises(SpeedBenchError, match="20 s is shorter than its warm-up of 20 s"):
         memory_use(
             [200 * MB] * 20,

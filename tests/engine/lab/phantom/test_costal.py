@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from engine.lab.phantom.costal import CostalStickers
+from engine.lab.phantom.laser import CostalStickers
 from engine.lab.phantom.recording import _labels
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.studio import Studio
@@ -21,7 +21,7 @@ def script(volunteer, **options):
 
 
 @pytest.mark.parametrize("volunteer", [1, 9])
-def test_they_are_found_where_the_truth_says(volunteer):
+def test_they_are_found_where_the_truth_states(volunteer):
     studio = Studio(script(volunteer, has_extra_markers=True))
     scene = studio.scene
     true = CostalStickers(scene.anatomy).split_rows(scene.rig, scene.skin, scene.timeline.pose(0.0))

@@ -204,7 +204,7 @@ def test_a_picture_that_darkens_as_a_whole_is_no_black_sheet(session, monkeypatc
         assert session.run(10) == [None] * 10
 
 
-def test_each_comparison_says_whether_it_could_be_made(session):
+def test_each_comparison_states_whether_it_could_be_made(session):
     session.run(1)
     assert session.check.evidence == Evidence(surface=True, color=True, camera=True, colored_share=1.0)
     session.has_depth = False

@@ -386,7 +386,7 @@ def test_no_frame_waits_for_the_trainer_s_thread(learned):
     assert len(patient.reported(LearningEventKind.SWAPPED)) == 2
 
 
-def test_every_swap_tells_both_references_and_the_correction(patient):
+def test_every_swap_reports_both_references_and_the_correction(patient):
     retrain(patient)
     ready, swapped = (
         patient.reported(LearningEventKind.READY)[0].figures,
@@ -398,7 +398,7 @@ def test_every_swap_tells_both_references_and_the_correction(patient):
     assert {"explained_share", "amplitude_mm", "shift_mm", "cycles", "residual_mm"} <= swapped.keys()
 
 
-def test_a_model_says_how_it_was_learned(learned):
+def test_a_model_states_how_it_was_learned(learned):
     quality = learned.provenance.quality
     assert quality.amplitude_mm == pytest.approx(5.4, abs=0.5)
     assert 0.5 < quality.explained_share <= 1.0

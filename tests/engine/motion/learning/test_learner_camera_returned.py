@@ -46,7 +46,7 @@ def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a
     assert patient.reported(LearningEventKind.ZERO_NEEDED)
 
 
-def test_what_an_earlier_comparison_said_is_said_no_more(patient):
+def test_what_an_earlier_comparison_stated_is_stated_no_more(patient):
     patient.learner.restart_after_disconnection()
     patient.see_until(lambda: patient.learner.status.patient_match is not None)
     patient.learner.restart_after_disconnection()

@@ -76,7 +76,7 @@ def test_nodes_that_lie_a_third_of_their_distance_elsewhere_are_laid_on_the_curv
     assert np.abs(error[3:]).max() < 0.5
 
 
-def test_markers_on_tattoos_determine_a_slide_and_bare_skin_says_that_it_does_not():
+def test_markers_on_tattoos_determine_a_slide_and_bare_skin_states_that_it_does_not():
     offsets_mm = np.full((4, 2), [OFF_MM, -OFF_MM])
     fraction = Fraction(volunteer=1, offsets_mm=offsets_mm)
     _, bare = errors(fraction)

@@ -71,7 +71,7 @@ def test_its_reconstruction_has_neither_noise_nor_hole(shown, model):
     assert np.abs(shown.sample_reconstructed_mm - truth_mm).max() <= 0.4 * NOISE_MM
 
 
-def test_the_difference_is_the_noise_and_nothing_is_said_of_the_hole(shown, model):
+def test_the_difference_is_the_noise_and_nothing_is_stated_of_the_hole(shown, model):
     thinned = model.known[::4, ::4]
     assert np.array_equal(np.isnan(shown.residual_map_mm), ~thinned)
     # of n values, an RMS scatters by 1/sqrt(2 n) of itself

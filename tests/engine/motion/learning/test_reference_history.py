@@ -134,7 +134,7 @@ STILL = np.eye(3)
     ],
     ids=["lowered", "shifted", "turned", "tilted"],
 )
-def test_shift_height_turn_and_tilt_are_told_apart(confirmed, rotation, shift_mm, expected):
+def test_shift_height_turn_and_tilt_are_reported_apart(confirmed, rotation, shift_mm, expected):
     learner = confirmed[0].pipeline.learner
     reference = learner.learned.reference
     middle_mm = reference.surface_mm.mean(axis=0)
@@ -146,7 +146,7 @@ def test_shift_height_turn_and_tilt_are_told_apart(confirmed, rotation, shift_mm
     assert found.distance_mm >= found.moved_mm > 1.0
 
 
-def test_a_surface_of_another_shape_is_told_as_that(confirmed):
+def test_a_surface_of_another_shape_is_reported_as_that(confirmed):
     learner = confirmed[0].pipeline.learner
     reference = learner.learned.reference
     bulge_mm = np.zeros_like(reference.surface_mm)

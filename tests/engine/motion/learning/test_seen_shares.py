@@ -53,7 +53,7 @@ def test_a_point_has_the_share_of_its_surroundings_also_at_the_edges_of_the_grid
     assert points[2] == 0.0
 
 
-def test_what_lies_below_a_blind_fifth_is_told_by_name():
+def test_what_lies_below_a_blind_fifth_is_reported_by_name():
     shares = WEIGHTS.by_region(WEIGHTS.shares(blind_below()))
     assert shares.whole == pytest.approx(0.8, abs=0.01)
     assert shares.abdomen == pytest.approx(0.6, abs=0.02)

@@ -58,7 +58,7 @@ def locked():
     return readings(0.35)
 
 
-def test_locking_is_told_from_noise_by_its_curvature(clean, locked):
+def test_locking_is_reported_from_noise_by_its_curvature(clean, locked):
     assert ratio_of(*clean) == pytest.approx(1.0, abs=0.25)
     assert ratio_of(*locked) > 1.6
 

@@ -49,7 +49,7 @@ def test_a_set_is_complete_with_frames_seconds_and_cycles_and_not_before():
     assert 8.0 < filled.seconds < wanted.max_seconds
 
 
-def test_waiting_ends_when_cycles_never_come_and_the_progress_says_so():
+def test_waiting_ends_when_cycles_never_come_and_the_progress_states_it():
     wanted = replace(FEW, max_seconds=6.0, min_cycles=3)
     filled = gather(range(5 * SECOND), wanted)
     assert not filled.is_complete
@@ -73,7 +73,7 @@ def test_a_gap_begins_the_set_anew(jump):
     assert filled.seconds < 0.1
 
 
-def test_progress_tells_amplitude_and_shift_of_the_patient():
+def test_progress_reports_amplitude_and_shift_of_the_patient():
     still = gather(range(6 * SECOND)).progress
     assert still.amplitude_mm == pytest.approx(5.4, abs=0.8)
     assert still.shift_mm < 1.0
@@ -169,7 +169,7 @@ def test_a_cough_is_an_outlier_and_breath_is_not():
         refuse_disturbed(outliers, replace(FEW, max_outlier_share=0.0))
 
 
-def test_after_a_refusal_without_a_model_gathering_begins_anew_and_says_why():
+def test_after_a_refusal_without_a_model_gathering_begins_anew_and_states_why():
     patient = Patient()
     refusal_of(patient, excursion=(0.0, 0.0))
     assert patient.learner.models.is_gathering

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import Markers
-from engine.lab.phantom.costal import CostalStickers
+from engine.lab.phantom.laser import CostalStickers
 from engine.lab.phantom.scene import Script
 from engine.lab.phantom.studio import Studio
 from engine.lab.phantom.view import Frustum
@@ -48,12 +48,12 @@ def test_two_stickers_among_corners_and_other_blobs_are_found_in_any_order():
     ],
     ids=["none", "one", "inside", "corner", "two"],
 )
-def test_a_picture_without_one_sticker_at_each_side_tells_nothing(extra_rc):
+def test_a_picture_without_one_sticker_at_each_side_reports_nothing(extra_rc):
     candidates = np.concatenate([in_picture(extra_rc), CORNERS]) if extra_rc else CORNERS
     assert find_split(candidates, ROI_MAP) is None
 
 
-def test_a_picture_without_any_sticker_tells_nothing():
+def test_a_picture_without_any_sticker_reports_nothing():
     assert find_split(np.empty((0, 2)), ROI_MAP) is None
 
 

@@ -177,7 +177,7 @@ def test_the_default_line_lies_between_rows_174_and_175():
     assert np.array_equal(thorax_coverage(PipelineSettings(thorax_rows=150).layout().split), ROWS < 150)
 
 
-def test_a_slanted_line_cuts_where_it_says():
+def test_a_slanted_line_cuts_where_it_states():
     split = (120.0, 220.0)
     thorax = thorax_coverage(split)
     line = 120.0 + 100.0 * COLUMNS / 199.0

@@ -62,14 +62,14 @@ def read_ply(content):
     return np.array(points), np.array(faces)[:, 1:]
 
 
-def test_a_ply_says_what_the_mesh_says():
+def test_a_ply_states_what_the_mesh_states():
     mesh = surface_mesh(dome(), ROWS, COLUMNS)
     points, faces = read_ply(ply_bytes(mesh))
     assert np.abs(points - mesh.vertices_mm).max() < 1e-4
     assert np.array_equal(faces, mesh.triangles)
 
 
-def test_an_obj_says_what_the_mesh_says_and_counts_from_one():
+def test_an_obj_states_what_the_mesh_states_and_counts_from_one():
     mesh = surface_mesh(dome(), ROWS, COLUMNS)
     rows = [line.split() for line in obj_text(mesh).splitlines() if not line.startswith("#")]
     points = np.array([[float(value) for value in row[1:]] for row in rows if row[0] == "v"])

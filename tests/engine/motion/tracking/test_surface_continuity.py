@@ -191,7 +191,7 @@ def test_a_breath_of_one_frame_is_too_fast_and_after_an_occlusion_it_is_a_breath
     assert not rejected(SurfaceContinuity(), REST_MM, 0)
 
 
-def test_a_rejection_says_how_far_and_what_to_do(continuity):
+def test_a_rejection_states_how_far_and_what_to_do(continuity):
     assert rejected(continuity, sheet(4.0), 1) == (
         "the surface changed by 4.0 mm, faster than skin can move: check for objects on the patient, then set the "
         "reference again"

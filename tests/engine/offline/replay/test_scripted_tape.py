@@ -151,7 +151,7 @@ def test_a_measurement_that_differs_in_the_last_bit_is_found_at_its_frame(busy):
     assert (difference.frame, "volume_l" in difference.recorded) == (12, True)
 
 
-def test_a_cell_that_no_table_tells_is_found_by_the_frames_digest(busy):
+def test_a_cell_that_no_table_reports_is_found_by_the_frames_digest(busy):
     _one, path = busy
 
     def a_bit_more(one):

@@ -111,7 +111,7 @@ def test_a_saturated_light_costs_certainty():
         (VirtualFaults(delay_ms=1100.0), "must be 0 to 1000 ms"),
     ],
 )
-def test_what_cannot_be_told_is_a_sentence_and_never_a_number(faults, words):
+def test_what_cannot_be_reported_is_a_sentence_and_never_a_number(faults, words):
     found = estimate(faults)
     assert isinstance(found, str)
     assert words in found

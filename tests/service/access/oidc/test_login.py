@@ -138,7 +138,7 @@ def by_password(client: TestClient, name: str = "Night Shift", **fields):
     return client.post("/api/v1/login", json=body, headers={"Origin": "http://testserver"})
 
 
-def test_a_person_gets_in_as_the_provider_says_and_with_the_roles_of_the_groups(client):
+def test_a_person_gets_in_as_the_provider_states_and_with_the_roles_of_the_groups(client):
     back = log_in(client)
     assert (back.status_code, back.headers["Location"]) == (303, "/")
     me = client.get("/api/v1/me").json()
@@ -208,7 +208,7 @@ def test_a_person_without_a_mapped_group_is_refused_and_named_in_the_refusal(cli
     assert not client.app.state.access.store.users.keys() & {"jane doe"}
 
 
-def test_somebody_who_is_disabled_here_stays_out_whatever_the_provider_says(client):
+def test_somebody_who_is_disabled_here_stays_out_whatever_the_provider_states(client):
     log_in(client)
     store = client.app.state.access.store
     store.write(save=[replace(store.users["jane doe"], is_disabled=True)])
@@ -389,7 +389,7 @@ def test_a_service_starts_at_once_although_the_provider_is_down(start, outside):
     assert "does not answer" in answer.text
 
 
-def test_a_break_glass_account_gets_in_with_a_reason_and_everything_says_so(client):
+def test_a_break_glass_account_gets_in_with_a_reason_and_everything_states_it(client):
     local(client, is_break_glass=True)
     before = broken_glass(client)
     assert by_password(client).json()["field"] == "reason"

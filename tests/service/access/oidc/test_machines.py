@@ -92,7 +92,7 @@ def test_a_person_s_token_opens_nothing_as_a_bearer(verifier):
     assert verifier.refused(signed(machine_claims(aud=CLIENT), typ="at+jwt")) == "audience"
 
 
-def test_a_token_ends_when_it_says_whatever_is_known_of_the_provider(verifier):
+def test_a_token_ends_when_it_states_whatever_is_known_of_the_provider(verifier):
     token = machine_token()
     verifier.now = NOW + timedelta(seconds=329)
     assert verifier.machines.identify(token) is not None

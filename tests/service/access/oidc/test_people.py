@@ -190,7 +190,7 @@ def test_a_code_from_another_provider_is_not_shown_to_ours(site, outside):
     assert "/token" not in outside.asked
 
 
-def test_a_provider_that_says_no_is_reported_as_that(site, outside):
+def test_a_provider_that_states_no_is_reported_as_that(site, outside):
     outside.on_return = {"error": "access_denied", "code": ""}
     assert site.refused() == "provider_refused"
     outside.on_return = {"code": ""}

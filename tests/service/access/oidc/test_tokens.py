@@ -103,7 +103,7 @@ def test_clocks_may_be_apart_by_what_the_site_allows(changes):
     assert person(signed(person_claims(**changes)))["sub"] == "u-1"
 
 
-def test_two_audiences_are_believed_where_it_says_that_we_asked():
+def test_two_audiences_are_believed_where_it_states_that_we_asked():
     assert person(signed(person_claims(aud=["a", CLIENT], azp=CLIENT)))["sub"] == "u-1"
 
 
@@ -187,7 +187,7 @@ def test_a_key_that_is_not_published_is_distinguished_since_that_is_what_a_rotat
     assert refused(person, signed(person_claims(), key=OTHER_KEY)) == "unknown_key"
 
 
-def test_a_key_is_only_used_for_what_it_says_it_is_for():
+def test_a_key_is_only_used_for_what_it_states_it_is_for():
     assert refused(person, _raw({"alg": "RS512", "kid": "first"}, person_claims())) == "unknown_key"
     assert refused(person, _raw({"alg": "ES256", "kid": "first"}, person_claims())) == "unknown_key"
 

@@ -101,7 +101,7 @@ def begun(client, session_body, engine):
 
 
 @pytest.mark.parametrize("action", AWAY)
-def test_it_is_done_whatever_its_body_is_and_the_audit_says_what_was_not_read(client, begun, subtests, action):
+def test_it_is_done_whatever_its_body_is_and_the_audit_states_what_was_not_read(client, begun, subtests, action):
     machine = by_key(client)
     for name in UNREAD if action == "hold" else ("no body", "half of an object", "a number for a name"):
         with subtests.test(name):
@@ -169,7 +169,7 @@ def test_what_may_lead_to_a_permit_needs_its_body_whole(client, session_id, runn
 
 
 @pytest.mark.parametrize("action", AWAY)
-def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_says(client, begun, subtests, action):
+def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_states(client, begun, subtests, action):
     machine = by_key(client)
     for body, for_whom in FOR_WHOM.items():
         with subtests.test(str(body)):

@@ -111,7 +111,7 @@ def test_too_many_failures_say_when_to_come_again_and_leave_who_is_in_alone(quic
     assert quick.get("/api/v1/sessions").status_code == 200
 
 
-def test_a_full_password_desk_says_so_at_once(quick):
+def test_a_full_password_desk_states_it_at_once(quick):
     desk = quick.desk.passwords
     for _ in range(8):
         desk._slots.acquire()

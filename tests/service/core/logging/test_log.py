@@ -48,7 +48,7 @@ def _loggers_as_before():
         logging.getLogger(name).setLevel(level)
 
 
-def test_a_line_says_when_how_bad_who_and_what():
+def test_a_line_states_when_how_bad_who_and_what():
     said = json.loads(JsonFormatter().format(record_of("%d frames lost", 3, created=1_763_800_000.1239)))
     assert said == {
         "ts": "2025-11-22T08:26:40.123Z",
@@ -58,7 +58,7 @@ def test_a_line_says_when_how_bad_who_and_what():
     }
 
 
-def test_a_line_says_which_request_and_which_session_it_belongs_to():
+def test_a_line_states_which_request_and_which_session_it_belongs_to():
     def reported():
         begin_request("mine", "/healthz")
         begin_session("0" * 32)
@@ -69,7 +69,7 @@ def test_a_line_says_which_request_and_which_session_it_belongs_to():
     assert (said["request_id"], said["session_id"], as_text) == ("mine", "0" * 32, "done [mine]")
 
 
-def test_a_process_that_is_there_for_a_session_says_so_on_every_line():
+def test_a_process_that_is_there_for_a_session_states_it_on_every_line():
     assert json.loads(JsonFormatter("1" * 32).format(record_of("done")))["session_id"] == "1" * 32
 
 

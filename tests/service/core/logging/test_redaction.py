@@ -77,7 +77,7 @@ def test_a_trace_that_another_handler_has_written_is_not_taken_over():
     assert SECRET not in RedactingFormatter().format(record)
 
 
-def test_what_the_event_loop_tells_of_a_task_is_cut_to_its_first_line(written):
+def test_what_the_event_loop_reports_a_task_is_cut_to_its_first_line(written):
     logging.getLogger("asyncio").error("Task exception was never retrieved\nfuture: <Task exception=%r>", SECRET)
     assert "never retrieved" in written.getvalue()
     assert SECRET not in written.getvalue()

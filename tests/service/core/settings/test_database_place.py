@@ -60,7 +60,7 @@ def test_a_url_that_cannot_be_meant_is_refused_without_showing_it(url, words):
 
 
 @pytest.mark.parametrize("query", ["sslmode=verify-full&sslrootcert=/etc/ca.pem", "sslmode=disable"])
-def test_another_machine_is_taken_once_it_is_said_how_the_way_is_secured(query):
+def test_another_machine_is_taken_once_it_is_stated_how_the_way_is_secured(query):
     assert Settings(database_url=f"postgresql://tidegate@db.example/tidegate?{query}").database_place
 
 

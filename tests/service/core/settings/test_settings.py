@@ -84,7 +84,7 @@ def test_the_removed_setting_for_open_access_names_its_replacement(monkeypatch):
     ],
     ids=str,
 )
-def test_what_says_two_things_about_the_way_here_is_refused(monkeypatch, environment, said):
+def test_what_states_two_things_about_the_way_here_is_refused(monkeypatch, environment, said):
     for name, value in environment.items():
         monkeypatch.setenv(f"TIDEGATE_{name}", value)
     with pytest.raises(SettingsError, match=said):
@@ -185,7 +185,7 @@ def test_limits_that_just_go_together_are_taken(site):
     [({"TIDEGATE_PROT": "1"}, "TIDEGATE_PROT"), ({"TIDEGATE_HOST": "0.0.0.0"}, "TIDEGATE_TLS_CERT")],
     ids=str,
 )
-def test_the_command_line_says_it_in_one_line_and_ends_with_2(environment, said):
+def test_the_command_line_states_it_in_one_line_and_ends_with_2(environment, said):
     done = subprocess.run(
         [sys.executable, "-m", "service.cli", "serve"],
         env={**os.environ, **environment},

@@ -243,7 +243,7 @@ def test_who_sees_the_end_finds_everything_there():
     assert (seen, engine.status.run_state) == ([False] * 3, LoopStatus.ENDED)
 
 
-def test_what_the_service_whispers_reaches_the_engine_as_it_was_said(served):
+def test_what_the_service_whispers_reaches_the_engine_as_it_was_stated(served):
     engine, server, _, control = served
     control.send(Heartbeat(alive_ns=7, samples=0, transitions=0, notices=0, acknowledged=3))
     control.send(Presence(operator="ann"))

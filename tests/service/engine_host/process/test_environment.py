@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.engine_host.process.child_process import _environment
+from service.engine_host.process.messages import _environment
 
 pytestmark = pytest.mark.waiting
 

@@ -36,7 +36,7 @@ def device_body(session_body):
     return body | {"source": {"kind": "device", "uri": "1d27/0601@1/2"}}
 
 
-def test_a_camera_without_calibration_runs_on_its_own_registration_and_says_so(client, device_body, engine):
+def test_a_camera_without_calibration_runs_on_its_own_registration_and_states_it(client, device_body, engine):
     session = client.post(URL, json=device_body).json()
     assert {name: session[name] for name in SAID} == SAID
     assert engine.probed == ["1d27/0601@1/2"]
@@ -61,7 +61,7 @@ def test_the_nominal_geometry_is_kept_like_any_calibration(client, device_body):
     assert client.post(URL, json=device_body).json()["calibration_id"] == session["calibration_id"]
 
 
-def test_the_live_stream_says_so_first_and_in_every_sample(client, device_body, engine):
+def test_the_live_stream_states_it_first_and_in_every_sample(client, device_body, engine):
     session = client.post(URL, json=device_body).json()
     act(client, session["id"], "start")
     with client.websocket_connect("/api/v1/live") as socket:
@@ -74,7 +74,7 @@ def test_the_live_stream_says_so_first_and_in_every_sample(client, device_body, 
         assert message["calibration"] == "device registration"
 
 
-def test_a_calibrated_session_says_that_too(client, session_body, engine):
+def test_a_calibrated_session_states_that_too(client, session_body, engine):
     session = client.post(URL, json=session_body).json()
     assert (session["calibration"], session["calibration_warning"]) == ("uploaded", None)
     act(client, session["id"], "start")

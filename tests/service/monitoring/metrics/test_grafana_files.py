@@ -7,7 +7,7 @@ import re
 import yaml
 
 from engine.core.gate_state import GateState
-from service.core.schemas.readiness import ReadinessCode
+from service.core.schemas.base import ReadinessCode
 from tests.support.documents.metrics import families, sample_names
 from tests.support.repository import ROOT
 
@@ -134,7 +134,7 @@ def test_every_panel_is_of_the_chosen_service_alone():
             assert not re.search(r"(tidegate|process)_", bare), panel["title"]
 
 
-def test_every_alert_says_how_bad_it_is_and_what_it_is():
+def test_every_alert_states_how_bad_it_is_and_what_it_is():
     names = [rule["alert"] for rule in alerts()]
     assert len(names) == len(set(names))
     for rule in alerts():

@@ -72,7 +72,7 @@ def test_a_slot_without_a_bound_is_a_negative_limit(careless_server):
     assert (slot.limit_bytes, slot.is_active) == (-1, False)
 
 
-def test_a_lost_slot_is_said_and_what_is_not_known_is_left_out():
+def test_a_lost_slot_is_stated_and_what_is_not_known_is_left_out():
     slot = ReplicationSlot(name="room_1", is_active=False, is_lost=True, behind_bytes=None, limit_bytes=2**32)
     assert values([slot]) == {
         "tidegate_replication_active": 0.0,

@@ -6,7 +6,7 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 
 from engine.core.gate_state import GateState, HoldReason
-from service.core.schemas.readiness import ReadinessCode
+from service.core.schemas.base import ReadinessCode
 from tests.support.documents.metrics import DOCUMENT, MADE, described, families, sample_names, scraped
 from tests.support.generated_sections import part_of
 
@@ -106,7 +106,7 @@ def test_the_accelerator_s_signal_and_the_time_of_holds_are_figures():
     assert values("tidegate_beam_off_seconds") == {(("hold", "last"),): 0.045, (("hold", "slowest"),): 0.06}
 
 
-def test_a_scrape_says_the_same_as_openmetrics(client):
+def test_a_scrape_states_the_same_as_openmetrics(client):
     answer = client.get("/metrics", headers={"Accept": "application/openmetrics-text;version=1.0.0,text/plain;q=0.5"})
     assert answer.headers["content-type"].startswith("application/openmetrics-text; version=1.0.0")
     assert answer.text.endswith("# EOF\n")
@@ -132,7 +132,7 @@ def test_a_database_that_hangs_leaves_figures_out_and_the_scrape_goes_on(client,
     assert "tidegate_disk_free_bytes" in text
 
 
-def test_the_document_says_what_there_is():
+def test_the_document_states_what_there_is():
     text = DOCUMENT.read_text(encoding="utf-8")
     assert {name: part_of(text, name) for name in MADE} == {name: make() for name, make in MADE.items()}
 

@@ -84,7 +84,7 @@ def test_plans_are_listed_newest_first_page_by_page_and_by_patient_and_label(cli
     assert client.get(URL, params=both).json()["items"] == []
 
 
-def test_a_plan_never_changes_and_its_etag_says_so(client, plan):
+def test_a_plan_never_changes_and_its_etag_states_it(client, plan):
     answer = client.get(f"{URL}/{plan['id']}")
     again = client.get(f"{URL}/{plan['id']}", headers={"If-None-Match": answer.headers["ETag"]})
     assert again.status_code == 304
@@ -171,7 +171,7 @@ def test_the_patients_name_is_in_no_answer_row_log_or_file(client, settings, cap
     assert not any(name in reported.encode() or name in files for name in [*names, b"19500101"])
 
 
-def test_the_audit_says_what_came_and_who_sent_it(client, plan):
+def test_the_audit_states_what_came_and_who_sent_it(client, plan):
     send(client, written(photon_plan()))
     first, again = audit_rows(client, "plan.import")
     assert (first["actor"], first["outcome"]) == ("A. Therapist", "done")
@@ -183,7 +183,7 @@ def test_the_audit_says_what_came_and_who_sent_it(client, plan):
     assert first["detail"]["sha256"] == plan["sha256"]
 
 
-def test_an_export_without_patients_says_nothing_of_whose_plan_came(client, plan):
+def test_an_export_without_patients_states_nothing_of_whose_plan_came(client, plan):
     send(client, written(photon_plan(FractionGroupSequence=[group(fractions=1)])))  # refused: a row of its own
     without = client.get("/api/v1/audit/export", params={"with_patients": False}).text
     assert without.count("plan.import") >= 2

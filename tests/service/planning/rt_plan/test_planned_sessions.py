@@ -44,7 +44,7 @@ def test_patient_plan_and_fraction_are_the_plans(client, plan, asked):
     assert (read["rt_plan_id"], read["operator"]) == (plan["id"], "A. Therapist")
 
 
-def test_a_session_without_a_plan_says_so(client, calibration_id):
+def test_a_session_without_a_plan_states_it(client, calibration_id):
     session = client.post(SESSIONS, json=make_session_body(calibration_id)).json()
     assert session["rt_plan_id"] is None
     assert client.post(SESSIONS, json=make_session_body(calibration_id) | {"rt_plan_id": "0" * 32}).status_code == 422
@@ -201,7 +201,7 @@ def test_a_plan_that_was_rejected_after_its_import_gives_no_session_to_any_role(
 
 
 @pytest.mark.both_databases
-def test_a_plan_that_a_later_file_contradicts_says_so_and_needs_a_person_with_a_reason(client, plan, asked):
+def test_a_plan_that_a_later_file_contradicts_states_it_and_needs_a_person_with_a_reason(client, plan, asked):
     etag = client.get(f"{URL}/{plan['id']}").headers["ETag"]
     for _ in range(2):
         say_otherwise(client, FractionGroupSequence=[group(fractions=29)], ApprovalStatus="UNAPPROVED")

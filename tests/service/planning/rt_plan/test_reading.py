@@ -27,7 +27,7 @@ from tests.support.planning.refusals import refused
 @pytest.mark.parametrize("syntax", SYNTAXES)
 @pytest.mark.parametrize("lengths", [lambda plan: plan, open_lengths], ids=["known lengths", "open lengths"])
 @pytest.mark.parametrize("make", [photon_plan, ion_plan])
-def test_a_plan_says_the_same_however_it_is_written(make, lengths, syntax):
+def test_a_plan_states_the_same_however_it_is_written(make, lengths, syntax):
     assert read_plan(written(lengths(make()), syntax)) == read_plan(written(make()))
 
 
@@ -268,7 +268,7 @@ def test_a_text_longer_than_its_representation_allows_is_refused():
         assert "characters" in str(refused(written(photon_plan(**changes))).bound)
 
 
-def test_a_refusal_never_says_what_a_text_says():
+def test_a_refusal_never_states_what_a_text_states():
     label = refused(patched(written(photon_plan()), b"LUNG_DIBH", b"ANNA\x07MUST"))
     patient = refused(patched(written(photon_plan()), b"P-0001", b"AN\\NA\x07"))
     for error in (label, patient):

@@ -144,7 +144,7 @@ def test_a_report_of_no_fraction_is_not_good(tmp_path):
     assert '"is_good": false' in (tmp_path / "report.json").read_text()
 
 
-def test_the_command_fails_and_says_in_a_line_that_no_live_frame_was_received(tmp_path, monkeypatch):
+def test_the_command_fails_and_states_in_a_line_that_no_live_frame_was_received(tmp_path, monkeypatch):
     from typer.testing import CliRunner
 
     from service.cli import app, simulate_tps

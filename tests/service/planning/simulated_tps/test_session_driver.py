@@ -162,7 +162,7 @@ def test_a_therapist_who_takes_part_is_present_every_second_and_a_key_never_is()
     assert room.present_at == []
 
 
-def test_nobody_sees_old_frames():
+def test_no_one_sees_old_frames():
     room, therapist = Room(status="created"), Room()
     room.age_ms = 5_000.0
     room.at_frame[30] = lambda: setattr(room, "status", "stopped")

@@ -69,7 +69,7 @@ def test_with_it_people_arm(service, site, engine):
 
 
 @pytest.mark.parametrize(("median_ms", "counted_ms"), [(30.0, 40.0), (80.0, 85.0)])
-def test_the_session_s_gate_counts_the_larger_of_both_and_the_audit_says_it(
+def test_the_session_s_gate_counts_the_larger_of_both_and_the_audit_states_it(
     service, site, engine, median_ms, counted_ms
 ):
     measured(site, median_ms=median_ms)
@@ -86,7 +86,7 @@ def test_a_latency_that_the_gate_cannot_accept_refuses_the_start(service, site):
     assert (refused.status_code, refused.json()["field"]) == (422, "camera_latency_ms")
 
 
-def test_the_list_has_each_camera_with_what_the_mode_says_of_it(service, site):
+def test_the_list_has_each_camera_with_what_the_mode_states_of_it(service, site):
     assert service.get("/api/v1/qa/latency").json() == {"configured_ms": 40.0, "max_age_days": 365.0, "items": []}
     measured(site)
     measured(site, camera=replace(CAMERA, serial="B2"), median_ms=90.0)

@@ -93,7 +93,7 @@ def test_another_mode_is_refused_with_both_modes(database, other):
 
 
 @pytest.mark.parametrize(("age_days", "is_allowed"), [(364.9, True), (365.1, False), (-0.1, False)])
-def test_a_measurement_lasts_as_long_as_the_site_says(database, age_days, is_allowed):
+def test_a_measurement_lasts_as_long_as_the_site_states(database, age_days, is_allowed):
     put(database, age_days=age_days)
     reason = why(database)
     assert (reason is None) is is_allowed

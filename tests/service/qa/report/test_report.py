@@ -87,7 +87,7 @@ def test_in_black_and_white_a_failure_is_solid_a_warning_and_a_pass_are_not():
     assert len(dark) == 2, "the run's and the one check's"
 
 
-def test_a_simulated_run_says_so_in_words(tmp_path):
+def test_a_simulated_run_states_it_in_words(tmp_path):
     detail = run_detail(is_simulated=True)
     assert "SIMULATED FROM END TO END" in read(report_pdf(detail, trends(detail)), tmp_path)
     plain = run_detail()

@@ -70,7 +70,7 @@ def test_a_fault_lasts_until_a_person_acknowledges_it_though_its_cause_is_gone(r
     assert (ended.alarm.acknowledged_by, ended.active) == ("A. Therapist", ())
 
 
-def test_a_fault_that_persists_is_a_new_alarm_that_nobody_has_acknowledged(room: Room):
+def test_a_fault_that_persists_is_a_new_alarm_that_no_one_has_acknowledged(room: Room):
     room.look(LOST)
     first = room.board.active[0].number
     room.acknowledge(first)

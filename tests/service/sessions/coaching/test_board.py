@@ -70,7 +70,7 @@ def test_nothing_is_shown_without_a_session_a_reference_or_while_a_fault_is_latc
     assert board.guidance(patient.frame(5.0)) is None
 
 
-def test_practice_guides_while_disarmed_and_says_so(board, patient):
+def test_practice_guides_while_disarmed_and_states_it(board, patient):
     patient.disarm()
     board.set(patient.plan.session_id, PRACTICE, operator=ANN)
     found = board.guidance(patient.frame(5.0, HoldStage.AWAITED))
@@ -93,7 +93,7 @@ def test_arming_ends_practice_for_good_though_no_screen_watched(board, patient):
     assert not board.settings(patient.plan.session_id).is_practice
 
 
-def test_an_armed_gate_ends_practice_whoever_armed_it(board, patient):
+def test_an_armed_gate_ends_practice_anyone_who_armed_it(board, patient):
     patient.disarm()
     board.set(patient.plan.session_id, PRACTICE, operator=ANN)
     patient.arm()

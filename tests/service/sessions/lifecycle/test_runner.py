@@ -109,7 +109,7 @@ def test_an_arming_is_as_old_as_its_call_not_as_its_row_in_the_audit(client, ses
 
 
 @pytest.mark.parametrize("body", [{"operator": ""}, {"operator": 3}, {"operator": "x", "force": True}, [], "x"])
-def test_nothing_but_who_asks_is_said(client, session_id, running, body):
+def test_nothing_but_who_asks_is_stated(client, session_id, running, body):
     answer = client.post(f"/api/v1/sessions/{session_id}/arm", json=body)
     assert answer.status_code == 422
     assert running.commands == []
@@ -174,7 +174,7 @@ def test_a_recording_that_is_over_ends_the_session(client, session_id, running):
     assert audit_rows(client, "session.close")[-1]["detail"]["summary"]["frames"] == 1
 
 
-def test_an_engine_that_fails_says_why_in_the_session(client, session_id, running):
+def test_an_engine_that_fails_states_why_in_the_session(client, session_id, running):
     running.end(error="the camera is gone")
     eventually(lambda: detail_of(client, session_id)["status"] == "failed")
     assert detail_of(client, session_id)["status_detail"] == "the camera is gone"

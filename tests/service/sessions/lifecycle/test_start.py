@@ -53,7 +53,7 @@ def test_a_camera_s_own_registration_is_not_started_on_once_the_site_forbids_it(
 
 
 @pytest.mark.parametrize("is_simulated", [True, False])
-def test_a_session_says_of_its_beam_what_is_so_when_it_starts(client, session_id, engine, is_simulated):
+def test_a_session_states_of_its_beam_what_is_so_when_it_starts(client, session_id, engine, is_simulated):
     engine.is_simulated_beam = is_simulated
     assert act(client, session_id, "start").json()["is_simulated_beam"] is is_simulated
     assert client.get(f"/api/v1/sessions/{session_id}").json()["is_simulated_beam"] is is_simulated

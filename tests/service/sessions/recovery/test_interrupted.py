@@ -69,7 +69,7 @@ def test_the_delivered_time_and_the_holds_of_an_interrupted_session_are_kept(dat
     assert [(one["reason"], one["count"]) for one in summary["holds"]] == [("outside_window", 2), ("marker_lost", 1)]
 
 
-def test_a_torn_tail_is_said_in_the_audit_with_rows_and_bytes(database, sample_store):
+def test_a_torn_tail_is_stated_in_the_audit_with_rows_and_bytes(database, sample_store):
     add_session(database)
     path = write_stream(sample_store.folder, is_finished=False).path
     path.write_bytes(path.read_bytes()[:-500])
@@ -80,7 +80,7 @@ def test_a_torn_tail_is_said_in_the_audit_with_rows_and_bytes(database, sample_s
     assert frames_of(sample_store) == list(range(32))
 
 
-def test_a_damaged_file_is_kept_aside_and_said_as_a_failure(database, sample_store, caplog):
+def test_a_damaged_file_is_kept_aside_and_stated_as_a_failure(database, sample_store, caplog):
     add_session(database)
     path = write_stream(sample_store.folder).path
     path.write_bytes(path.read_bytes().replace(b"5" * 64, b"6" * 64, 1))
@@ -92,7 +92,7 @@ def test_a_damaged_file_is_kept_aside_and_said_as_a_failure(database, sample_sto
     assert "P-0001" not in caplog.text
 
 
-def test_a_start_with_nothing_left_says_nothing(database, sample_store):
+def test_a_start_with_nothing_left_states_nothing(database, sample_store):
     add_session(database, status="ended", ended_at=BEGUN)
     write_stream(sample_store.folder)
     sample_store.settle(SESSION)
@@ -164,7 +164,7 @@ def test_a_stream_that_can_be_neither_read_nor_kept_aside_lets_the_session_be_cl
 
 
 @pytest.mark.parametrize("spoiled", ["its end", "a page", "its schema"])
-def test_a_session_of_which_only_a_damaged_parquet_is_left_is_closed_and_the_audit_says_why(
+def test_a_session_of_which_only_a_damaged_parquet_is_left_is_closed_and_the_audit_states_why(
     database, sample_store, spoiled
 ):
     add_session(database)

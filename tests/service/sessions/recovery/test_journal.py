@@ -20,7 +20,7 @@ from engine.control.journal.format import SLOT_BYTES, slot_offset
 from engine.control.journal.journal import SLOTS, JournalError
 from engine.core.clock import ManualClock
 from engine.core.gate_state import GateState, HoldReason
-from service.engine_host.orphaned_processes import end_engines_holding
+from service.engine_host.equipment import end_engines_holding
 from service.sessions.records.audit_events import transition_event
 from service.sessions.recovery import journal as journal_recovery
 from service.sessions.recovery.journal import JournalInUseError, recover_transitions
@@ -160,7 +160,7 @@ def test_a_permit_that_was_only_foreseen_is_reported_as_one_that_may_not_have_be
     assert "not known" in detail["detail"]
 
 
-def test_a_damaged_slot_is_said_and_not_believed(database, journals, left):
+def test_a_damaged_slot_is_stated_and_not_believed(database, journals, left):
     content = bytearray(left.read_bytes())
     content[slot_offset(4, SLOTS) + SLOT_BYTES // 2] ^= 255  # the committed permit; the prepared one is in slot 3
     left.write_bytes(content)
@@ -171,7 +171,7 @@ def test_a_damaged_slot_is_said_and_not_believed(database, journals, left):
     assert (account["damaged_slots"], account["missing_numbers"]) == ([3], [4])
 
 
-def test_a_file_that_is_no_journal_is_kept_aside_and_said(database, journals, left):
+def test_a_file_that_is_no_journal_is_kept_aside_and_stated(database, journals, left):
     left.write_bytes(b"something else")
     recover_transitions(database, journals)
     ((_, detail),) = rows(database, "journal.damaged")
@@ -227,7 +227,7 @@ def held_by(name: str, path: Path):
 
 @pytest.mark.both_databases
 @pytest.mark.parametrize("module", ["service.engine_host.process", "service.engine_process"], ids=["now", "before"])
-def test_an_engine_left_behind_is_killed_said_and_recovered(database, journals, left, monkeypatch, caplog, module):
+def test_an_engine_left_behind_is_killed_stated_and_recovered(database, journals, left, monkeypatch, caplog, module):
     """The second name is the module's name in the release before: an upgrade finds its engines too."""
     monkeypatch.setattr("service.storage.files.journals.PATIENCE_S", 0.5)
     with held_by(module, left) as engine:
@@ -273,7 +273,7 @@ def test_another_data_folder_s_journals_are_not_ours(database, journals, tmp_pat
 
 
 @pytest.mark.both_databases
-def test_a_session_that_ran_and_has_no_journal_any_more_is_said_once(database, journals):
+def test_a_session_that_ran_and_has_no_journal_any_more_is_stated_once(database, journals):
     add_session(database)
     recover_transitions(database, journals)
     recover_transitions(database, journals)
@@ -316,7 +316,7 @@ def test_memory_without_room_is_no_reason_not_to_begin(tmp_path, monkeypatch):
     journal.close()
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path):
+def test_a_folder_that_cannot_be_made_is_stated(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(JournalError, match="kept safe"):
         Journals(tmp_path / "data", tmp_path / "file" / "in it").begin("s1")

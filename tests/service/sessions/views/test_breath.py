@@ -28,7 +28,7 @@ def test_the_reported_breath_is_that_of_the_first_gated_signal():
     assert live_breath(view_of()) is None
 
 
-def test_what_is_not_known_is_null_and_says_why():
+def test_what_is_not_known_is_null_and_states_why():
     reported = live_breath(view_of(breaths=(Breath(note="too little seen yet", drift=float("nan")),)))
     assert (reported.phase_percent, reported.note, reported.drift, reported.rate_per_min) == (
         None,
@@ -48,7 +48,7 @@ def test_events_say_since_when_they_are_under_way():
     assert (reported.kind, reported.since_s, reported.confidence, reported.detail) == ("apnoea", 2.5, 0.81, "x")
 
 
-def test_a_breath_hold_tells_its_stage_its_seconds_and_how_many_there_were():
+def test_a_breath_hold_reports_its_stage_its_seconds_and_how_many_there_were():
     at_us = 30 * 33_370
     state = ConditionState(stage=HoldStage.HELD, since_us=at_us - 4_250_000, holds=3)
     reported = live_breath_hold(view_of(window=HOLD, conditions=(state,)))

@@ -122,6 +122,6 @@ def test_a_database_whose_newest_rows_were_cut_off_is_found_by_the_file(database
     assert (found.breakage, found.first_broken_sequence) == (Breakage.CUT_OFF, 6)
 
 
-def test_a_file_that_cannot_be_written_says_so(tmp_path):
+def test_a_file_that_cannot_be_written_states_it(tmp_path):
     with pytest.raises(OSError, match="No such file"):
         AnchorFile(tmp_path / "nowhere" / "anchors.jsonl").append("start", sequence=1, head_hash=HASH)

@@ -120,7 +120,7 @@ def test_a_patient_is_named_only_where_asked(treated):
         ("qa.start", {"field": "window.fraction_id", "value": "'P-OTHER-5'"}),
     ],
 )
-def test_a_refusal_before_there_is_a_session_tells_of_no_patient_either(treated, action, detail):
+def test_a_refusal_before_there_is_a_session_reports_no_patient_either(treated, action, detail):
     with treated.write() as db:
         audit.append(db, Event(actor="me", action=action, outcome="refused", detail=detail))
     assert "P-OTHER-5" not in "".join(exported(treated, with_patients=False))

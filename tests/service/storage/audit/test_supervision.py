@@ -13,8 +13,7 @@ from service.core.settings.settings import Settings
 from service.storage import audit
 from service.storage.audit import Breakage, Event, supervision as care_module
 from service.storage.audit.anchors import AnchorFile, note_restore
-from service.storage.audit.check import LOST_FILE, check_tail, check_whole
-from service.storage.audit.startup import changes, redacted_settings, settings_sha256
+from service.storage.audit.check import LOST_FILE, changes, check_tail, check_whole, redacted_settings, settings_sha256
 from service.storage.audit.supervision import AnchorWriter, ClockWatch
 from service.storage.audit.verification import read_links
 from tests.support.audit.rows import fill
@@ -31,7 +30,7 @@ def cut_off(raw, after):
     raw.commit()
 
 
-def test_a_start_says_its_software_its_settings_and_their_hash(supervised):
+def test_a_start_states_its_software_its_settings_and_their_hash(supervised):
     supervised.run()
     (start,) = supervised.rows("service.start")
     assert start["version"] == "1.2.3"

@@ -38,7 +38,7 @@ class Disk(io.BytesIO):
     """Counts what is written to it."""
 
 
-def test_of_a_file_that_unpacks_to_more_than_it_says_hardly_more_is_written(tmp_path):
+def test_of_a_file_that_unpacks_to_more_than_it_states_hardly_more_is_written(tmp_path):
     part = {"path": "models/a.npz", "bytes": 10, "sha256": EMPTY}
     path = write_backup(tmp_path / "bomb", files=[part], entries={"models/a.npz": bytes(64 * 1024 * 1024)})
     assert path.stat().st_size < 100_000
@@ -48,7 +48,7 @@ def test_of_a_file_that_unpacks_to_more_than_it_says_hardly_more_is_written(tmp_
     assert len(disk.getvalue()) <= reading.PIECE_BYTES
 
 
-def test_of_a_table_with_more_rows_than_it_says_hardly_more_are_read(tmp_path):
+def test_of_a_table_with_more_rows_than_it_states_hardly_more_are_read(tmp_path):
     part = {"name": "users", "columns": ["id"], "rows": 2, "sha256": EMPTY}
     path = write_backup(tmp_path / "rows", tables=[part], entries={"tables/users.jsonl": b"[]\n" * 100_000})
     lines = []

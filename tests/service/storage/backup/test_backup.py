@@ -196,7 +196,7 @@ def test_sessions_without_their_samples_are_named_unless_they_were_removed_for_g
     assert made.manifest.without_samples == [ids[3]]
 
 
-def test_raw_recordings_are_in_it_where_asked_for_and_its_absence_is_said(database, folder, out, tmp_path):
+def test_raw_recordings_are_in_it_where_asked_for_and_its_absence_is_stated(database, folder, out, tmp_path):
     made = backed_up(database, folder, out, has_raw=True)
     assert "raw/0123.oni" in {file.path for file in made.manifest.files}
     without = make_backup(source_of(database, folder), tmp_path / "small", Silent())
@@ -418,7 +418,9 @@ def test_rows_have_one_order_whatever_a_server_thinks_of_letters(places):
 
 
 @pytest.mark.parametrize(("made_in", "restored_in"), [("1", "2"), ("1", ""), ("", "2")])
-def test_another_room_s_backup_is_taken_only_where_that_is_said(database, folder, out, tmp_path, made_in, restored_in):
+def test_another_room_s_backup_is_taken_only_where_that_is_stated(
+    database, folder, out, tmp_path, made_in, restored_in
+):
     backed_up(database, folder, out, room=made_in)
     with opened(out) as found, closing(Database(tmp_path / "new.db")) as new:
         assert found.manifest.room == made_in

@@ -180,7 +180,7 @@ def test_another_database_in_its_place_is_not_the_one_that_was_opened(server, pl
     database.close()
 
 
-def test_what_the_site_s_url_says_of_commits_does_not_make_them_less_durable(place):
+def test_what_the_site_s_url_states_of_commits_does_not_make_them_less_durable(place):
     database = Database(place.update_query_dict({"options": "-c synchronous_commit=off"}))
     with database.read() as db:
         assert db.scalar(text("SHOW synchronous_commit")) == "on"

@@ -62,7 +62,7 @@ def test_a_session_whose_source_does_not_open_leaves_no_journal(client, journals
     assert list(journals.left_behind()) == []
 
 
-def test_a_journal_that_lies_on_a_disk_for_want_of_memory_is_said_with_the_reason(tmp_path, caplog):
+def test_a_journal_that_lies_on_a_disk_for_want_of_memory_is_stated_with_the_reason(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "service.storage.files.journals"):
         journal = Journals(tmp_path / "data", None, memory=tmp_path / "no such folder").begin("s1")
     journal.close()
@@ -71,7 +71,7 @@ def test_a_journal_that_lies_on_a_disk_for_want_of_memory_is_said_with_the_reaso
     assert f"{tmp_path / 'no such folder'} cannot be written to" in record.message
 
 
-def test_a_journal_that_lies_on_a_disk_because_memory_is_full_is_said_with_the_reason(tmp_path, caplog, monkeypatch):
+def test_a_journal_that_lies_on_a_disk_because_memory_is_full_is_stated_with_the_reason(tmp_path, caplog, monkeypatch):
     memory = tmp_path / "memory"
     memory.mkdir()
     allocate = os.posix_fallocate
@@ -98,6 +98,6 @@ def test_a_journal_in_memory_or_in_the_set_folder_gives_no_warning(tmp_path, cap
     assert caplog.records == []
 
 
-def test_the_start_of_the_service_tells_where_journals_are_made(client, settings):
+def test_the_start_of_the_service_reports_where_journals_are_made(client, settings):
     (row,) = audit_rows(client, "service.start")
     assert row["detail"]["journal_folder"] == str(Journals(settings.data_dir, settings.journal_dir).folder)

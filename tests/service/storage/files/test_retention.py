@@ -63,7 +63,7 @@ def test_a_site_that_sets_nothing_keeps_everything(database, data_dir):
 
 
 @pytest.mark.both_databases
-def test_what_is_older_goes_and_the_audit_says_what_and_by_which_rule(database, data_dir):
+def test_what_is_older_goes_and_the_audit_states_what_and_by_which_rule(database, data_dir):
     gone = data_dir / "samples" / f"{OLD}.parquet"
     sha256, size = hashlib.sha256(gone.read_bytes()).hexdigest(), gone.stat().st_size
     before = left(data_dir)
@@ -133,7 +133,7 @@ def test_a_session_takes_what_its_length_takes(tmp_path):
     assert session_bytes(site(tmp_path, session_room_min=10.0)) == 10 * 60 * 30 * 1700
 
 
-def test_without_room_on_the_disk_no_session_begins_and_the_problem_says_how_much(client, session_body, monkeypatch):
+def test_without_room_on_the_disk_no_session_begins_and_the_problem_states_how_much(client, session_body, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=250 * 2**20))
     answer = client.post("/api/v1/sessions", json=session_body)
     assert (answer.status_code, answer.json()["code"], answer.json()["field"]) == (507, "storage_low", "disk")

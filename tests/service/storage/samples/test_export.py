@@ -42,7 +42,7 @@ def test_parquet_is_refused_until_the_session_is_closed(client, session_id, runn
 
 
 @pytest.mark.parametrize("is_closed", [False, True])
-def test_arrow_says_with_what_it_was_measured_and_nothing_of_whom(client, session_id, running, is_closed):
+def test_arrow_states_with_what_it_was_measured_and_nothing_of_whom(client, session_id, running, is_closed):
     running.frame()
     eventually(running.samples.empty)
     if is_closed:
@@ -61,7 +61,7 @@ def test_a_format_that_does_not_exist_is_refused(client, session_id):
     assert (answer.status_code, answer.json()["field"]) == (422, "format")
 
 
-def test_samples_that_were_removed_are_said_to_be(client, session_id, running, settings):
+def test_samples_that_were_removed_are_stated_to_be(client, session_id, running, settings):
     running.frame()
     act(client, session_id, "stop")
     (settings.data_dir / "samples" / f"{session_id}.parquet").unlink()
@@ -69,7 +69,7 @@ def test_samples_that_were_removed_are_said_to_be(client, session_id, running, s
     assert (answer.status_code, answer.json()["code"]) == (404, "samples_removed")
 
 
-def test_the_close_row_tells_what_the_samples_are_known_by(client, session_id, running):
+def test_the_close_row_reports_what_the_samples_are_known_by(client, session_id, running):
     for _ in range(5):
         running.frame()
     act(client, session_id, "stop")

@@ -21,7 +21,7 @@ def rows_of(shelf):
     return [row for batch in shelf.batches(SESSION) for row in batch.to_pylist()]
 
 
-def test_parquet_says_what_the_stream_said(shelf):
+def test_parquet_states_what_the_stream_stated(shelf):
     write_stream(shelf.folder)
     before = repr(rows_of(shelf))
     settled = shelf.settle(SESSION)
@@ -109,7 +109,7 @@ def test_a_kill_at_any_step_of_a_closing_leaves_it_to_be_done_again(shelf, monke
     assert frames_of(shelf) == list(range(40))
 
 
-def test_a_torn_tail_is_cut_off_and_said(shelf):
+def test_a_torn_tail_is_cut_off_and_stated(shelf):
     path = write_stream(shelf.folder, is_finished=False).path
     path.write_bytes(path.read_bytes()[:-100])
     settled = shelf.settle(SESSION)

@@ -155,7 +155,7 @@ def test_a_hold_of_a_disarmed_gate_and_normal_gating_are_no_alarms(client, sessi
         assert alarms_of(client, session_id) == []
 
 
-def test_the_stream_tells_of_the_alarm_in_its_own_schema(client, session_id, running):
+def test_the_stream_reports_the_alarm_in_its_own_schema(client, session_id, running):
     running.frame()
     with client.websocket_connect("/api/v1/live") as socket:
         assert socket.receive_json()["type"] == "hello"

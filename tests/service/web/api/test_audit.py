@@ -201,7 +201,7 @@ def test_a_whole_treatment_can_be_read_from_the_audit(client, session_id, runnin
     assert client.get("/api/v1/audit/verify").json()["is_intact"]
 
 
-def test_the_audit_says_loudly_that_the_beam_line_is_simulated(client, session_id, running):
+def test_the_audit_states_loudly_that_the_beam_line_is_simulated(client, session_id, running):
     for action in ("session.create", "session.start"):
         assert "SIMULATED" in audit_rows(client, action)[0]["detail"]["beam_line"]
     assert audit_rows(client, "service.start")[0]["detail"]["is_simulated_beam"] is True

@@ -46,6 +46,6 @@ def test_every_call_that_is_refused_where_it_would_have_changed_something_is_wri
     assert body == [audited()[place] for place in asked]
 
 
-def test_the_document_says_what_the_routes_do():
+def test_the_document_states_what_the_routes_do():
     text = DOCUMENT.read_text(encoding="utf-8")
     assert {name: part_of(text, name) for name in MADE} == {name: make() for name, make in MADE.items()}

@@ -119,7 +119,7 @@ def test_an_unknown_calibration_is_not_found(client):
     assert client.get(f"{URL}/{'0' * 32}").status_code == 404
 
 
-def test_opencv_and_ros_files_are_stored_as_ours_and_the_answer_says_what_they_were(client, tmp_path):
+def test_opencv_and_ros_files_are_stored_as_ours_and_the_answer_states_what_they_were(client, tmp_path):
     storage = write_storage(
         tmp_path / "a.yml", storage_values(unit_mm=1000.0) | {"camera": "a", "first_camera": "depth"}
     )

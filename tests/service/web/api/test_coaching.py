@@ -178,7 +178,7 @@ def read_on(socket):
         socket.receive_text()
 
 
-def test_nobody_watches_without_a_pairing_and_an_ended_one_is_closed(client, coaching):
+def test_no_one_watches_without_a_pairing_and_an_ended_one_is_closed(client, coaching):
     sent = paired_cookie(client).partition(";")[0]
     client.speaks_as = None
     with pytest.raises(WebSocketDisconnect) as refused, watch(client) as socket:

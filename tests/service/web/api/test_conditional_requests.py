@@ -177,7 +177,7 @@ def test_what_is_no_etag_is_refused_by_name(header):
         precondition(header)
 
 
-def test_a_weak_tag_says_nothing_about_a_change_and_enough_about_an_answer():
+def test_a_weak_tag_states_nothing_about_a_change_and_enough_about_an_answer():
     tag = etag_of("x")
     with pytest.raises(PreconditionFailedError):
         precondition(f"W/{tag}").require(tag)

@@ -80,7 +80,7 @@ def test_many_requests_at_once_with_one_key_make_one_session(client, session_bod
     assert len(client.get(f"{V1}/sessions").json()["items"]) == 1
 
 
-def test_a_key_that_is_worked_on_is_refused_and_says_when_to_come_again(client, session_body, engine):
+def test_a_key_that_is_worked_on_is_refused_and_states_when_to_come_again(client, session_body, engine):
     """The camera is asked in the middle of a creation: a second request comes right then."""
     beside = []
     body = {**session_body, "source": {"kind": "device"}, "calibration_id": None}

@@ -16,7 +16,7 @@ def test_every_reason_that_is_not_the_gate_s_own_work_is_listed_once():
     assert len(listed()) == len(INTERLOCKS)
 
 
-def test_each_says_in_words_what_it_is_and_whether_it_latches():
+def test_each_states_in_words_what_it_is_and_whether_it_latches():
     for code, one in listed().items():
         assert one.text
         assert one.trips

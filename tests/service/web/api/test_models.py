@@ -56,7 +56,7 @@ def created(client, calibration_id, model_id, **changes):
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_retraining_says_whether_the_reference_is_kept_and_is_audited(client, session_id, running, keeps):
+def test_retraining_states_whether_the_reference_is_kept_and_is_audited(client, session_id, running, keeps):
     body = {"operator": "A. Physicist", "keeps_reference": keeps}
     assert client.post(f"/api/v1/sessions/{session_id}/models/retrain", json=body).status_code == 202
     assert running.commands == [Retrain(operator="A. Physicist", keeps_zero=keeps)]
@@ -215,7 +215,7 @@ def name_another_file(settings, model_id, sha256):
 
 
 @pytest.mark.parametrize("spoiled", ["patient", "gone", "changed"])
-def test_a_model_whose_file_is_not_what_the_table_says_does_not_start_a_session(
+def test_a_model_whose_file_is_not_what_the_table_states_does_not_start_a_session(
     client, kept_model, calibration_id, settings, engine, spoiled
 ):
     session_id = created(client, calibration_id, kept_model["id"]).json()["id"]
@@ -236,7 +236,7 @@ def test_a_model_whose_file_is_not_what_the_table_says_does_not_start_a_session(
     assert len(engine.opened) == opened
 
 
-def test_the_session_tells_how_far_the_patient_is_from_the_model_and_whether_there_is_a_reference(
+def test_the_session_reports_how_far_the_patient_is_from_the_model_and_whether_there_is_a_reference(
     client, session_id, running
 ):
     running.frame()

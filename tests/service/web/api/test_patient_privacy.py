@@ -63,7 +63,7 @@ def test_refusals_that_show_the_patient_to_the_caller_show_no_other_patient(clie
     nothing_reported(client, caplog, capfd)
 
 
-def test_a_crash_while_a_session_is_made_or_runs_tells_its_kind_and_not_whom_it_was_about(
+def test_a_crash_while_a_session_is_made_or_runs_reports_its_kind_and_not_whom_it_was_about(
     client, engine, body, caplog, capfd, monkeypatch
 ):
     caplog.set_level(logging.DEBUG)

@@ -113,7 +113,7 @@ def test_a_run_begins_goes_on_and_is_kept_with_every_check(client, rig, body):
     assert not rig.job_now.far.is_on()
 
 
-def test_the_audit_tells_who_began_it_how_it_ended_and_the_hash_of_its_results(client, rig, body):
+def test_the_audit_reports_who_began_it_how_it_ended_and_the_hash_of_its_results(client, rig, body):
     rig.report = report(QaKind.DAILY, plate_noise_mm=9.0)
     ended = done(client, rig, body)
     start, end = audit_rows(client, "qa.start")[-1], audit_rows(client, "qa.end")[-1]
@@ -376,7 +376,7 @@ def test_a_run_whose_drill_swallows_what_the_line_refuses_is_cancelled_all_the_s
     assert not job.far.is_on()
 
 
-def test_a_service_that_shuts_down_in_a_run_holds_its_line_and_says_so(settings, engine, rig, calibration_text):
+def test_a_service_that_shuts_down_in_a_run_holds_its_line_and_states_it(settings, engine, rig, calibration_text):
     qa_files(settings.recordings_dirs[0])
     app = create_app(settings, lambda _settings: engine, lambda _settings: rig)
     with PeopleClient(app) as client:
@@ -608,7 +608,7 @@ def test_a_code_of_another_person_opens_nothing(real, rig, codes, safe_body):
     assert_refused(real, rig, safe_body | {"code": codes.make("B. Physicist")}, 403, "qa_code", "code")
 
 
-def test_a_code_is_in_no_record_and_the_audit_says_when_it_was_made(real, rig, codes, safe_body, settings):
+def test_a_code_is_in_no_record_and_the_audit_states_when_it_was_made(real, rig, codes, safe_body, settings):
     wrong = "3333-4444"
     assert_refused(real, rig, safe_body | {"code": wrong}, 403, "qa_code", "code")
     code = codes.make(ME["operator"])
@@ -683,7 +683,7 @@ def test_a_physicist_alone_begins_a_run(real, rig, codes, safe_body):
     done(real, rig, safe_body | {"operator": "Somebody", "code": codes.make("Somebody")})
 
 
-def test_whoever_may_take_the_beam_away_may_cancel_a_run(client, rig, body):
+def test_anyone_who_may_take_the_beam_away_may_cancel_a_run(client, rig, body):
     key = bearer_of(client, [Permission.GATE_HOLD])
     run_id = begin(client, body)
     eventually(rig.job_now.is_on.is_set)

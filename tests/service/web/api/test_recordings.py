@@ -44,7 +44,7 @@ def test_a_recording_is_described_by_its_first_records_and_its_path_is_that_of_a
     assert client.post("/api/v1/sessions", json=session_body).status_code == 201
 
 
-def test_a_recording_without_colour_says_so(client, folder):
+def test_a_recording_without_colour_states_it(client, folder):
     with OniWriter(folder / "depth.oni", depth_size=(64, 48), color_size=None) as writer:
         writer.write_depth(0, depth_picture(0), frame_id=1)
     (item,) = listed(client)["items"]

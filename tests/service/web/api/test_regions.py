@@ -117,7 +117,7 @@ def test_a_vertex_that_is_no_number_is_refused(client, calibration_id, text):
     assert answer.status_code == 422
 
 
-def test_the_live_stream_tells_named_regions_lags_and_the_split(client, moving, running):
+def test_the_live_stream_reports_named_regions_lags_and_the_split(client, moving, running):
     running.frame()
     with client.websocket_connect("/api/v1/live") as socket:
         message = socket.receive_json()

@@ -311,7 +311,7 @@ def test_how_often_the_beam_may_switch_is_the_site_s_unless_the_session_is_stric
 @pytest.mark.parametrize(
     ("is_allowed", "is_calibrated", "may"), [(True, False, True), (False, False, False), (False, True, True)]
 )
-def test_a_camera_without_calibration_is_gated_only_where_the_site_says_so(is_allowed, is_calibrated, may):
+def test_a_camera_without_calibration_is_gated_only_where_the_site_states_it(is_allowed, is_calibrated, may):
     settings = Settings(beam_without_calibration=is_allowed)
     limits = gate_limits(Window.model_validate(MM), settings, is_calibrated=is_calibrated)
     assert limits.is_calibrated is may
@@ -357,7 +357,7 @@ def test_the_breath_of_the_first_signal_and_of_every_amplitude_and_phase_is_foll
 VOLUME = {"lower_mm": None, "upper_mm": None, "lower_l": 0.1, "upper_l": 0.2}
 
 
-def test_the_live_window_is_the_one_the_gate_judges_by_and_says_where_each_condition_stands():
+def test_the_live_window_is_the_one_the_gate_judges_by_and_states_where_each_condition_stands():
     body = Window.model_validate(
         {"lower_percent": 0, "upper_percent": 50, "further": [PHASE, HOLD | {"hold": "inspiration"}]}
     )

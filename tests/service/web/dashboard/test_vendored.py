@@ -39,7 +39,7 @@ def test_version_and_checksums_are_in_the_bill_of_materials(folder: Path):
     assert {one["name"]: one["hashes"][0]["content"] for one in part["components"]} == sums(folder)
 
 
-def test_uplot_says_its_version_and_its_licence_itself():
+def test_uplot_states_its_version_and_its_licence_itself():
     (folder,) = FOLDERS
     version = (folder / "VERSION").read_text(encoding="utf-8").strip()
     assert "MIT License" in (folder / "LICENSE").read_text(encoding="utf-8")

@@ -96,7 +96,7 @@ def test_every_answer_carries_the_security_headers(client):
         assert headers["X-Content-Type-Options"] == "nosniff"
 
 
-def test_an_unexpected_error_tells_nothing_of_the_inside(settings, engine):
+def test_an_unexpected_error_reports_nothing_of_the_inside(settings, engine):
     def broken():
         msg = "secret inside"
         raise RuntimeError(msg)
@@ -141,7 +141,7 @@ def test_a_missing_recordings_folder_is_not_ready(client, settings):
     assert "recordings" in answer.json()["not_ready"][0]
 
 
-def test_who_is_logged_in_is_named_in_the_audit_of_a_refused_body_whatever_it_says(client, session_body):
+def test_who_is_logged_in_is_named_in_the_audit_of_a_refused_body_whatever_it_states(client, session_body):
     client.post("/api/v1/sessions", json=session_body | {"fraction_number": 0})
     assert audit_rows(client, "session.create")[-1]["actor"] == "A. Therapist"
     client.speaks_as = "B. Physicist"

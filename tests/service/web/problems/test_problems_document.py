@@ -10,7 +10,7 @@ def test_the_page_is_made_from_the_code():
     assert PAGE.read_text(encoding="utf-8") == page(), stale
 
 
-def test_every_code_says_when_it_comes_and_what_to_do(subtests):
+def test_every_code_states_when_it_comes_and_what_to_do(subtests):
     for entry in CATALOGUE.values():
         with subtests.test(entry.code):
             assert entry.title

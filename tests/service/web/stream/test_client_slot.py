@@ -61,7 +61,7 @@ def test_changes_that_wait_are_bounded_and_the_oldest_is_counted():
     assert one.take_skipped() == (3, 3)
 
 
-def test_what_the_hub_did_not_see_is_told_as_left_out():
+def test_what_the_hub_did_not_see_is_reported_as_left_out():
     one = slot()
     one.offer(frame(7, missed=2), 0.0)
     assert one.take_skipped() == (2, 0)
@@ -108,7 +108,7 @@ def test_a_change_goes_out_at_once_however_low_the_rate():
     assert taken(one, 0.2) == [2]
 
 
-def test_a_busy_client_of_a_rate_misses_ticks_and_is_told_how_many():
+def test_a_busy_client_of_a_rate_misses_ticks_and_is_reported_how_many():
     one = slot(rate_hz=10.0)
     one.offer(frame(0), 0.0)
     assert taken(one, 0.0) == [0]
@@ -119,7 +119,7 @@ def test_a_busy_client_of_a_rate_misses_ticks_and_is_told_how_many():
     assert taken(one, 1.1) == [30]
 
 
-def test_frames_are_kept_for_a_client_that_is_told_what_it_missed_and_not_without_end():
+def test_frames_are_kept_for_a_client_that_is_reported_what_it_missed_and_not_without_end():
     one = slot()
     one.start_buffering()
     for index in range(MAX_BUFFERED + 5):

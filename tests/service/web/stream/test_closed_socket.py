@@ -29,7 +29,7 @@ def test_sending_on_a_socket_that_the_server_closed_is_a_disconnection(encoding)
     assert caught.value.code == 1006
 
 
-def test_closing_a_socket_that_the_server_closed_says_nothing():
+def test_closing_a_socket_that_the_server_closed_states_nothing():
     websocket = WebSocket({"type": "websocket", "extensions": {}}, never, refuse)
     websocket.client_state = websocket.application_state = WebSocketState.CONNECTED
     anyio.run(SocketConnection(websocket, Shape("websocket", Form.FULL, Encoding.JSON)).close, "stalled")

@@ -36,7 +36,7 @@ def test_two_hundred_clients_cost_one_writing_a_frame_and_form():
     anyio.run(watch)
 
 
-def test_every_form_says_the_same():
+def test_every_form_states_the_same():
     runner = FakeRunner()
     frame = make_frame(runner, 3)
     full = json.loads(frame.payload(JSON))
@@ -118,12 +118,12 @@ def test_a_change_between_two_frames_is_a_message_of_its_own():
         {"session_status": "ended"},
     ],
 )
-def test_these_are_changes_that_every_client_hears_of(update):
+def test_these_are_changes_that_every_client_receives_of(update):
     runner = FakeRunner()
     assert take_all(make_hub(runner), runner, [(0, {}), (1, update)])[1][2]
 
 
-def test_who_comes_late_gets_the_newest_and_is_told_of_nothing_missed():
+def test_who_comes_late_gets_the_newest_and_is_reported_of_nothing_missed():
     async def watch():
         runner = FakeRunner()
         hub = make_hub(runner)
@@ -183,7 +183,7 @@ def test_who_has_to_go_is_let_go(why):
     anyio.run(watch)
 
 
-def test_the_first_reason_to_let_a_client_go_is_the_one_that_is_told():
+def test_the_first_reason_to_let_a_client_go_is_the_one_that_is_reported():
     """Closing takes a while: the client may go by itself, and be found stalled by the checks that follow."""
 
     async def watch():

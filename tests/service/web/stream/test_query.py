@@ -70,7 +70,7 @@ def test_where_the_server_cannot_answer_with_a_problem_the_close_names_it(servic
     assert sent == [(1008, "invalid_value: rate_hz: less than or equal to 60")]
 
 
-def test_the_hello_says_how_the_stream_was_understood(service: Served, session_id: str):
+def test_the_hello_states_how_the_stream_was_understood(service: Served, session_id: str):
     with service.watch():
         service.frames(1)
         with service.watch("?rate_hz=5&form=thin&encoding=msgpack") as socket:
@@ -101,5 +101,5 @@ def test_an_asked_rate_is_kept_on_a_real_socket(service: Served, session_id: str
     assert first["frame_index"] == 0
 
 
-def test_nobody_watches_without_being_let_in(service: Served):
+def test_no_one_watches_without_being_let_in(service: Served):
     assert httpx2.get(f"http://127.0.0.1:{service.port}/api/v1/live/events").status_code == 401

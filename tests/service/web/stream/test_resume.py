@@ -80,7 +80,7 @@ def test_a_client_that_saw_nothing_gets_all_that_was_recorded(service: Served, s
             assert frames_of(told(again, until=11)) == list(range(12))
 
 
-def test_a_recorded_sample_says_what_the_live_one_said(service: Served, session_id: str):
+def test_a_recorded_sample_states_what_the_live_one_stated(service: Served, session_id: str):
     with service.watch() as first:
         next_of(first, "hello")
         service.frames(3)
@@ -94,7 +94,7 @@ def test_a_recorded_sample_says_what_the_live_one_said(service: Served, session_
     assert recorded["received_at"] is not None
 
 
-def test_what_is_further_back_than_the_site_sends_again_is_said_to_be_missing(
+def test_what_is_further_back_than_the_site_sends_again_is_stated_to_be_missing(
     service: Served, session_id: str, monkeypatch
 ):
     monkeypatch.setattr(service.app.state.resumption, "_longest_s", 0.5)  # fifteen frames of the fake engine
@@ -110,7 +110,7 @@ def test_what_is_further_back_than_the_site_sends_again_is_said_to_be_missing(
     assert frames_of(found) == list(range(first, 40))
 
 
-def test_a_session_that_is_over_is_told_to_its_end_from_its_closed_file(service: Served):
+def test_a_session_that_is_over_is_reported_to_its_end_from_its_closed_file(service: Served):
     session_id = service.begin_session()
     with service.watch():
         service.frames(20)
@@ -123,7 +123,7 @@ def test_a_session_that_is_over_is_told_to_its_end_from_its_closed_file(service:
     assert (resumed["frames"], resumed["last_frame"]) == (15, 19)
 
 
-def test_a_session_that_nobody_recorded_is_one_gap(service: Served):
+def test_a_session_that_no_one_recorded_is_one_gap(service: Served):
     with service.watch(f"?session_id={'e' * 32}&after_frame=7") as again:
         gap = next_of(again, "gap")
         assert (gap["from_frame"], gap["to_frame"], gap["reason"]) == (8, None, "not_recorded")
@@ -147,7 +147,7 @@ def test_a_recorder_that_does_not_get_there_is_waited_for_and_not_for_ever(
     assert (gap["from_frame"], gap["to_frame"], gap["reason"]) == (6, 8, "recorder_behind")
 
 
-def test_a_change_between_two_frames_is_told_though_its_frame_was_in_the_record(service: Served, session_id: str):
+def test_a_change_between_two_frames_is_reported_though_its_frame_was_in_the_record(service: Served, session_id: str):
     with service.watch():
         service.frames(5)
         service.recorded(session_id, 4)
@@ -177,7 +177,7 @@ def test_an_asked_rate_holds_for_the_record_too_and_no_change_is_left_out(servic
     assert 5 <= len(frames) <= 8
 
 
-def test_too_many_that_come_back_at_once_are_told_so_and_go_on_live(service: Served, session_id: str, monkeypatch):
+def test_too_many_that_come_back_at_once_are_reported_so_and_go_on_live(service: Served, session_id: str, monkeypatch):
     monkeypatch.setattr("service.web.stream.resume.BUSY_S", 0.05)
     with service.watch():
         service.frames(6)

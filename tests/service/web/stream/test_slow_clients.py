@@ -33,7 +33,7 @@ def test_clients_that_never_read_are_cut_off_and_the_others_stay_within_two_fram
         service.end_session(session_id)
 
 
-def test_a_slow_client_is_told_how_many_it_missed_and_gets_the_newest(service: Served, session_id: str):
+def test_a_slow_client_is_reported_how_many_it_missed_and_gets_the_newest(service: Served, session_id: str):
     service.make_messages_big()
     slow = service.raw("/api/v1/live")
     service.await_clients(1)

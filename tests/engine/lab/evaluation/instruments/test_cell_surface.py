@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from engine.lab.evaluation.instruments.cell_surface import CellSurface
+from engine.lab.evaluation.instruments.laser_line import CellSurface
 
 ROWS, COLUMNS = np.mgrid[0:350, 0:200].astype(float)
 PLACES = np.column_stack([np.linspace(3.0, 346.0, 57), np.linspace(196.0, 3.0, 57)])

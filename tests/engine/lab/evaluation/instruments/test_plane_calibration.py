@@ -78,7 +78,7 @@ def test_pictures_that_no_plane_fits_are_refused(boards):
         fit_plane(bent, RIG.calibration)
 
 
-def test_a_picture_without_a_board_or_without_a_line_says_so(pictures):
+def test_a_picture_without_a_board_or_without_a_line_states_it(pictures):
     gray = np.full((480, 640, 3), 90, dtype=np.uint8)
     assert read_board(gray, BOARD, RIG.color) == "no board of 9 x 6 inner corners"
     dark = draw(POSES[0], PLANE, light=0.0)

@@ -85,7 +85,7 @@ def test_frames_that_were_not_measured_stay_empty_and_cost_nothing_else():
     assert np.isfinite(found.spirometer_l[~gone]).sum() == round(found.overlap_s * FPS)
 
 
-def test_air_that_leaves_counted_positive_is_noticed_and_can_be_said():
+def test_air_that_leaves_counted_positive_is_noticed_and_can_be_stated():
     exhaled = spirometer(0.9, sign=-1.0)
     assert "sign reversed" in compare_volumes(TIME_S, lung_l(TIME_S), exhaled).notices[0]
     found = compare_volumes(TIME_S, lung_l(TIME_S), exhaled, is_exhale_positive=True)
@@ -93,7 +93,7 @@ def test_air_that_leaves_counted_positive_is_noticed_and_can_be_said():
     assert (found.correlation > 0.9999, found.notices) == (True, [])
 
 
-def test_breathing_like_clockwork_fits_a_breath_later_too_and_says_so():
+def test_breathing_like_clockwork_fits_a_breath_later_too_and_states_it():
     def clockwork(time_s):
         return 0.25 * (1.0 - np.cos(2.0 * np.pi * time_s / 3.0))
 

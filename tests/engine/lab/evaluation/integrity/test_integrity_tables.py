@@ -44,7 +44,7 @@ def test_an_honest_session_has_no_error_and_is_not_detected():
     assert (found.measured_percent, found.on_s, found.wrong_on_s) == (100.0, 1.0, 0.0)
 
 
-def test_a_wrong_signal_counts_while_it_is_measured_and_its_longest_run_is_told():
+def test_a_wrong_signal_counts_while_it_is_measured_and_its_longest_run_is_reported():
     found = verdict([session(errors=[(slice(0, 40), -1.2)], lost=[slice(10, 20)])])
     assert found.longest_wrong_s == pytest.approx(20 / FPS)
     assert found.wrong_percent == pytest.approx(50.0)

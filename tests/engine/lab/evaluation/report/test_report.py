@@ -104,7 +104,7 @@ def test_the_page_needs_no_network_and_no_other_file(report):
     assert all(f"id={value[1:]}" in page for value in reader.references if value.startswith("#"))
 
 
-def test_every_figure_is_on_the_page_and_in_a_file_and_says_what_it_shows(report):
+def test_every_figure_is_on_the_page_and_in_a_file_and_states_what_it_shows(report):
     out, _, _ = report
     page = (out / "index.html").read_text()
     pictures = sorted(out.glob("*.png"))
@@ -120,7 +120,7 @@ def test_every_figure_is_on_the_page_and_in_a_file_and_says_what_it_shows(report
     assert all(len(alt) > 20 for alt in reader.alts)
 
 
-def test_every_table_says_which_command_printed_it_and_is_a_csv(report):
+def test_every_table_states_which_command_printed_it_and_is_a_csv(report):
     out, tables, _ = report
     page = (out / "index.html").read_text()
     assert page.count(f"Printed by <code>{COMMAND}</code>") == len(tables) + 1
@@ -211,7 +211,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, arguments, field):
     assert result.stderr.count("\n") == 1
 
 
-def test_missed_marks_are_said_and_only_strict_fails(tmp_path, monkeypatch):
+def test_missed_marks_are_stated_and_only_strict_fails(tmp_path, monkeypatch):
     run = tiny_run()  # teaches no one anything: every mark is missed
     monkeypatch.setattr(datasets, "quick_plan", lambda _seed, _seconds: [run])
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
