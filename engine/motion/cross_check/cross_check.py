@@ -64,7 +64,7 @@ MISFIT_OF_USUAL = 1.7
 """Allowed misfit of the surface: this many times that of the training, within the two bounds above."""
 MISFIT_OF_DEEPER = 0.15
 """More misfit is allowed in a breath deeper than any of the training: this share of what it is deeper."""
-MISFIT_OF_REDISTRIBUTED = 0.02
+MISFIT_OF_REDISTRIBUTED = 0.045
 """And of what is shifted between thorax and abdomen, other than in the training: this share."""
 HEIGHT_OF_DEEPER = 0.6
 """Such a breath also passes for a rigid movement since it began: up to this share of what it is deeper is taken off."""

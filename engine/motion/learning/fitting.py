@@ -18,6 +18,9 @@ from engine.motion.learning.shape_smoothing import fill_unknown, smooth_shapes
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
+# A component counts if its variance is this many times that of noise: less adds more noise to every frame than motion.
+MIN_OVER_NOISE = 3.0
+WAYS_TO_MOVE = 6
 MAX_FILLINGS = 8
 FILLED_CHANGE = 0.003
 CELL_PX = 10
@@ -45,7 +48,7 @@ def fit(
         Frames on the grid, shape (n, 350, 200) or thinned by a stride, float32 [mm] and bool. Holes are filled from the
         components, iteratively.
     components
-        Number of components to keep.
+        Largest number of components; those that noise explains are left out.
     cycles, seconds
         Breathing cycles in the set, and its length [s]; stored with the model.
 
@@ -81,7 +84,7 @@ def fit(
 
 
 def _principal_components(
-    depth_mm: FloatArray, valid: BoolArray, known: BoolArray, stride_px: int, k: int
+    depth_mm: FloatArray, valid: BoolArray, known: BoolArray, stride_px: int, most: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """PCA of frames with gaps: fill with the mean, then with the reconstruction, and repeat.
 
@@ -89,7 +92,7 @@ def _principal_components(
     so the spectrum is that of the motion.
 
     Returns the mean (rows, columns), the centred frames (n, points), both zero at unknown points, the frames' scores as
-    orthonormal columns (n, k), and all eigenvalues (n,), summed over the points.
+    orthonormal columns, at most ``most``, and all eigenvalues (n,), summed over the points.
     """
     n = len(depth_mm)
     mean, centred, gaps = _centred(depth_mm, valid, known)
@@ -100,6 +103,7 @@ def _principal_components(
         covariance = (cells @ cells.T).astype(np.float64) / (n - 1)
         eigenvalues, vectors = np.linalg.eigh(covariance)
         eigenvalues = np.maximum(eigenvalues[::-1], 0.0)
+        k = _above_noise(eigenvalues, most)
         scores = np.ascontiguousarray(vectors[:, ::-1][:, :k], dtype=np.float32)
         if eigenvalues[0] <= 1e-6 * np.count_nonzero(known):
             msg = "there was no motion during training: no breathing to learn"
@@ -109,6 +113,15 @@ def _principal_components(
         largest = eigenvalues[0]
         mean.ravel()[gaps.points] += gaps.fill(centred, scores)
     return mean.astype(np.float32), centred, scores, eigenvalues
+
+
+def _above_noise(eigenvalues: FloatArray, most: int) -> int:
+    """Count the components that are motion: regular breathing has two, an isovolume manoeuvre four.
+
+    What lies behind all of a body's ways to move, and behind what may be kept, is noise.
+    """
+    noise = eigenvalues[min(max(most, WAYS_TO_MOVE), len(eigenvalues) - 1)]
+    return max(int(np.count_nonzero(eigenvalues[:most] > MIN_OVER_NOISE * noise)), 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

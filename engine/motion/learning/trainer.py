@@ -29,7 +29,7 @@ class TrainingSettings:
     max_frames
         Largest number of frames kept; a longer set is thinned evenly.
     components
-        Number of principal components.
+        Largest number of principal components; those that noise explains are left out.
     refit_until_s
         A model learned in the session is refitted each time the stretch without movement is twice as long as the one
         it was learned from, until the stretch is this long [s]; 0 for never.
@@ -50,7 +50,7 @@ class TrainingSettings:
     min_seconds: float = 10.0
     max_seconds: float = 40.0
     max_frames: int = 450
-    components: int = 3
+    components: int = 6
     refit_until_s: float = 80.0
     retrain_interval_s: float = 0.0
     min_amplitude_mm: float = 0.6

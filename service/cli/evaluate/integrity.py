@@ -6,20 +6,25 @@
 import os
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
 from service.cli.evaluate.bench import STOPPED, print_tables
-from service.cli.terminal import advance, frame_bar, refused, say
+from service.cli.terminal import NoBar, advance, frame_bar, refused, say
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from engine.lab.evaluation.table import Table
 
 WIDTH = 200
 
 
 def integrity(
-    out: Annotated[Path, typer.Option(help="Folder for integrity.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder for a CSV file for each sensor.")],
     volunteer: Annotated[
         list[int] | None, typer.Option(help="Virtual volunteer, 1 to 10; repeatable. 3 and 6 by default.")
     ] = None,
@@ -30,6 +35,10 @@ def integrity(
         int, typer.Option(help="Seed of the recordings; the same seed gives the same ones on the same processor.")
     ] = 2017,
     jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(help="Model of the sensor's errors: usual, locking; both by default."),
+    ] = None,
     *,
     is_slow: Annotated[
         bool, typer.Option("--slow", help="Add what takes longer: moves over a minute, a half that rises slowly.")
@@ -43,26 +52,14 @@ def integrity(
     Sheets, re-attached markers, missing depth, moves of body and camera, old pictures, and a patient who lies feet
     first; one row a case, over all volunteers.
     """
-    from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, jobs_of, run_all
-    from engine.lab.evaluation.integrity.cases import cases
-
-    volunteers = volunteer or [3, 6]
     workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
     try:
         if out.exists() and not out.is_dir():
             raise InvalidValueError("out", str(out), "a folder")
-        check_plan(volunteers, seed, workers)
-        chosen = [case for case in cases(is_slow=is_slow) if not kind or any(text in case.name for text in kind)]
-        if not chosen:
-            raise InvalidValueError("kind", ", ".join(kind or []), "a part of the name of a case, such as sheet")
-        with frame_bar() as bar:
-            task = bar.add_task("recordings", total=jobs_of(chosen, volunteers))
-            sessions = run_all(
-                chosen, volunteers, seed=seed, jobs=workers, on_done=lambda done: bar.update(task, completed=done)
-            )
-        table = integrity_table(sessions)
+        tables = _judged(volunteer or [3, 6], kind or [], sensor or [], seed=seed, jobs=workers, is_slow=is_slow)
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "integrity.csv", table.to_csv().encode())
+        for table in tables:
+            write_whole(out / f"{table.name}.csv", table.to_csv().encode())
     except KeyboardInterrupt as stopped:
         say("tidegate evaluate integrity: stopped; nothing is written", "yellow")
         raise typer.Exit(STOPPED) from stopped
@@ -70,10 +67,38 @@ def integrity(
         raise refused("evaluate integrity", error) from error
     except OSError as error:
         raise refused("evaluate integrity", f"{out} cannot be written ({error.strerror or error})") from error
-    print_tables([table], WIDTH)
-    say(f"Written to {out / 'integrity.csv'}")
-    if is_strict and table.failed:
+    print_tables(tables, WIDTH)
+    say(f"Written to {out}: {', '.join(f'{table.name}.csv' for table in tables)}")
+    if is_strict and any(table.failed for table in tables):
         raise typer.Exit(1)
+
+
+def _count(bar: "Progress | NoBar", task: "TaskID", done: int) -> None:
+    bar.update(task, completed=done)
+
+
+def _judged(
+    volunteers: list[int], kinds: list[str], sensors: list[str], *, seed: int, jobs: int, is_slow: bool
+) -> "list[Table]":
+    """Run the chosen cases on each sensor; raise InvalidValueError naming the field that is out of bounds."""
+    from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, jobs_of, run_all
+    from engine.lab.evaluation.integrity.cases import cases
+    from engine.lab.phantom.sensor import SENSORS, find_sensor
+
+    check_plan(volunteers, seed, jobs)
+    for name in sensors:
+        find_sensor(name)
+    chosen = [case for case in cases(is_slow=is_slow) if not kinds or any(text in case.name for text in kinds)]
+    if not chosen:
+        raise InvalidValueError("kind", ", ".join(kinds), "a part of the name of a case, such as sheet")
+    tables = []
+    for name in dict.fromkeys(sensors or SENSORS):
+        with frame_bar() as bar:
+            task = bar.add_task(f"recordings, sensor {name}", total=jobs_of(chosen, volunteers))
+            count = partial(_count, bar, task)
+            sessions = run_all(chosen, volunteers, seed=seed, jobs=jobs, sensor=name, on_done=count)
+        tables.append(integrity_table(sessions, name))
+    return tables
 
 
 def ablations(

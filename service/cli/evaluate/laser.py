@@ -61,7 +61,7 @@ def laser(
             help="ROW,COL of the 350 x 200 grid near the line; repeatable; five points along the line by default."
         ),
     ] = None,
-    components: Annotated[int, typer.Option(help="Number of principal components of the motion model.")] = 3,
+    components: Annotated[int, typer.Option(help="Largest number of principal components of the motion model.")] = 6,
     head: Annotated[
         str, typer.Option(help="Direction of the head in the picture: auto, up, down, left or right.")
     ] = "auto",

@@ -45,7 +45,7 @@ def spirometer(
     exhale_positive: Annotated[
         bool, typer.Option("--exhale-positive", help="The spirometer counts exhaled air as positive.")
     ] = False,
-    components: Annotated[int, typer.Option(help="Number of principal components of the motion model.")] = 3,
+    components: Annotated[int, typer.Option(help="Largest number of principal components of the motion model.")] = 6,
     head: Annotated[
         str, typer.Option(help="Direction of the head in the picture: auto, up, down, left or right.")
     ] = "auto",

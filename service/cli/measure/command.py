@@ -87,7 +87,7 @@ def measure(
         ),
     ] = False,
     cell: Annotated[int, typer.Option(help="Side of a cell of the regions [grid px].")] = 25,
-    components: Annotated[int, typer.Option(help="Number of principal components of the motion model.")] = 3,
+    components: Annotated[int, typer.Option(help="Largest number of principal components of the motion model.")] = 6,
     window: Annotated[
         str | None,
         typer.Option(

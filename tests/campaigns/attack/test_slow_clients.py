@@ -28,7 +28,7 @@ def drip(raw, first: bytes, drop: bytes) -> Reply:
         while time.monotonic() < begin_s + 2 * LATEST_S:
             reply = read_all(raw, 0.1)
             if reply.content or reply.is_closed:
-                rest = read_all(raw, 1.0)
+                rest = read_all(raw, LATEST_S)  # what an idle connection is closed after, on a busy machine
                 is_closed = reply.is_closed or rest.is_closed
                 waited_s = time.monotonic() - begin_s
                 return Reply(content=reply.content + rest.content, is_closed=is_closed, seconds=waited_s)

@@ -37,6 +37,7 @@ def wrong(case):
         (["--kind", "nonsense"], "kind"),
         (["--jobs", 0], "jobs"),
         (["--seed", -1], "seed"),
+        (["--sensor", "nonsense"], "sensor"),
     ],
 )
 def test_what_cannot_be_run_is_refused_by_field_and_nothing_is_written(tmp_path, words, field):
@@ -49,10 +50,10 @@ def test_what_cannot_be_run_is_refused_by_field_and_nothing_is_written(tmp_path,
 
 def test_the_table_has_a_row_a_case_and_strict_fails_on_errors(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "run_all", lambda chosen, *_rest, **_options: [[wrong(case)] for case in chosen])
-    words = ["--out", tmp_path, "--kind", "sheet laid over half", "--kind", "honest"]
+    words = ["--out", tmp_path, "--kind", "sheet laid over half", "--kind", "honest", "--sensor", "locking"]
     answer = called(*words)
     assert answer.exit_code == 0, answer.output
-    rows = list(csv.DictReader((tmp_path / "integrity.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "integrity_locking.csv").read_text().splitlines()))
     assert {row["kind"] for row in rows} == {
         "honest",
         "sheet laid over half",

@@ -21,8 +21,8 @@ from tests.support.waiting import eventually
 KEY = "tg_" + "A" * 43
 DEAD_ENGINE = """
 import sys
-from service.engine_host.process import child_process
-child_process.MODULE = "service.no_such_module"
+from service.engine_host.process import messages
+messages.MODULE = "service.no_such_module"
 from service.cli import app
 app(sys.argv[1:])
 """

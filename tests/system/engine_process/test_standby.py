@@ -194,7 +194,7 @@ def test_one_that_hangs_in_a_question_ends_with_the_service(asked, monkeypatch):
 
 ASKING = """
 import sys, tests.system.engine_process.test_standby as these
-from service.engine_host.process import child_process as child
+from service.engine_host.process import messages as child
 child.MODULE = "tests.support.engine_process.two_cameras_program"
 print(these.hung_in_a_question(these.ProcessEngine(these.Settings(data_dir=sys.argv[1])))[1], flush=True)
 """

@@ -123,7 +123,9 @@ def test_a_program_with_the_client_reads_calls_and_follows(front: Front):
 
 def test_a_websocket_gets_every_sample(front: Front):
     url = f"wss://127.0.0.1:{front.port}/api/v1/live"
-    with connect(url, additional_headers=front.client.key_headers, ssl=front.trusted, max_queue=None) as socket:
+    with connect(
+        url, additional_headers=front.client.key_headers, ssl=front.trusted, max_queue=None, open_timeout=PATIENCE_S
+    ) as socket:
         check_stream(enough(messages(socket)))
 
 
@@ -144,7 +146,7 @@ def test_a_slow_reader_is_reported_what_it_missed_and_goes_on_with_the_newest(fr
     slow = front.slow_reader("/api/v1/live/events")
     front.await_rise("tidegate_live_skipped_total", 30)
     url = f"wss://127.0.0.1:{front.port}/api/v1/live?form=thin"
-    with connect(url, additional_headers=front.client.key_headers, ssl=front.trusted) as other:
+    with connect(url, additional_headers=front.client.key_headers, ssl=front.trusted, open_timeout=PATIENCE_S) as other:
         newest = next(one["frame_index"] for one in messages(other) if one["type"] == "sample")
     answer = http.client.HTTPResponse(slow)
     answer.begin()
@@ -234,7 +236,9 @@ def test_a_renewed_certificate_is_shown_without_a_restart_and_open_streams_go_on
     with pytest.raises(Error, match="ERR_CERT_AUTHORITY_INVALID"):
         trusting_second.new_page().goto(own.url)
     url = f"wss://127.0.0.1:{own.port}/api/v1/live"
-    with connect(url, additional_headers=own.client.key_headers, ssl=own.trusted, max_queue=None) as stream:
+    with connect(
+        url, additional_headers=own.client.key_headers, ssl=own.trusted, max_queue=None, open_timeout=PATIENCE_S
+    ) as stream:
         next_of(stream, "sample")
         own.cert.write_text("cut off while it is copied")
         eventually(lambda: _warnings(own) == ["certificate_unreadable", "certificate_ends_soon"], pause_s=0.2)

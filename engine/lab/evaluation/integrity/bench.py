@@ -19,10 +19,11 @@ from engine.core.bounds import check_whole_number
 from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.frames import BoolArray
 from engine.core.signals import HeadDirection
-from engine.lab.evaluation.integrity.cases import Case
+from engine.lab.evaluation.integrity.cases import FALSE_S, Case
 from engine.lab.evaluation.integrity.session import FPS, WRONG_MM, Session, Volunteer, learn, run
 from engine.lab.evaluation.table import Table
 from engine.lab.phantom.builds import find_build
+from engine.lab.phantom.sensor import USUAL
 
 T = TypeVar("T")
 
@@ -45,6 +46,7 @@ def run_all(
     *,
     seed: int,
     jobs: int,
+    sensor: str = USUAL,
     on_done: Callable[[int], None] = lambda _done: None,
 ) -> list[list[Session]]:
     """Run every case on every volunteer; return the sessions of each case, in its order.
@@ -64,7 +66,7 @@ def run_all(
     try:
         learned = _collect(
             [
-                partial(learn, volunteer, seed, is_turned=is_turned, head_direction=head)
+                partial(learn, volunteer, seed, is_turned=is_turned, sensor=sensor, head_direction=head)
                 for volunteer in volunteers
                 for is_turned, head in poses
             ],
@@ -118,6 +120,7 @@ def _fitting(learned: Sequence[Volunteer], case: Case) -> list[Volunteer]:
 
 LONGEST_WRONG_S = 0.5
 LONGEST_UNNAMED_S = 1.0
+LEAST_HONEST_PERCENT = 99.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +139,9 @@ class Verdict:
     detected_s
         Longest time to the first frame that was lost or held, or of a rigid movement to its report; None where one
         volunteer's never was.
+    named_s, named
+        Longest time to the first code that names the cause, and the codes; None and empty where one volunteer's was not
+        named, or nothing is to be.
     on_s, wrong_on_s
         Time of beam on, of the signal with most of it, in all and with the true motion more than 1 mm outside of the
         window.
@@ -146,6 +152,8 @@ class Verdict:
     longest_wrong_s: float
     largest_mm: float
     detected_s: float | None
+    named_s: float | None
+    named: str
     on_s: float
     wrong_on_s: float
 
@@ -154,6 +162,7 @@ def verdict(sessions: Sequence[Session]) -> Verdict:
     """Judge the sessions of one case."""
     wrong = [_is_wrong(session) for session in sessions]
     detected = [_detected_s(session) for session in sessions]
+    names = [_named(session) for session in sessions]
     errors = np.concatenate([np.abs(session.error_mm[session.is_measured]).ravel() for session in sessions])
     errors = errors[np.isfinite(errors)]
     return Verdict(
@@ -162,6 +171,8 @@ def verdict(sessions: Sequence[Session]) -> Verdict:
         longest_wrong_s=max(_longest_run(one) for one in wrong) / FPS,
         largest_mm=float(errors.max()) if errors.size else 0.0,
         detected_s=None if any(one is None for one in detected) else max(one or 0.0 for one in detected),
+        named_s=None if any(one is None for one in names) else max(one[0] for one in names if one is not None),
+        named=", ".join(sorted({one[1] for one in names if one is not None})),
         on_s=max(float(session.is_on.sum(axis=0).max()) for session in sessions) / FPS,
         wrong_on_s=max(
             float((session.is_on & (session.outside_mm > WRONG_MM)).sum(axis=0).max()) for session in sessions
@@ -170,16 +181,19 @@ def verdict(sessions: Sequence[Session]) -> Verdict:
     )
 
 
-def integrity_table(cases: Sequence[Sequence[Session]]) -> Table:
-    """Make the table; a row fails where an error above 1 mm stands as measured for longer than 0.5 s.
+def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> Table:
+    """Make the table of a sensor; a row fails where an error above 1 mm stands as measured for longer than 0.5 s.
 
-    A rigid move fails where it is not named within a second.
+    A rigid move fails where it is not named within a second, an honest recording where more than 1 % is lost.
     """
     rows, failed = [], set()
     for number, sessions in enumerate(cases):
         case, found = sessions[0].case, verdict(sessions)
-        is_unnamed = case.is_rigid and (found.detected_s is None or found.detected_s > LONGEST_UNNAMED_S)
-        if found.longest_wrong_s > LONGEST_WRONG_S or is_unnamed:
+        is_unnamed = (
+            case.is_rigid and case.seconds <= FALSE_S and (found.named_s is None or found.named_s > LONGEST_UNNAMED_S)
+        )
+        is_lost = case.is_honest and found.measured_percent < LEAST_HONEST_PERCENT
+        if found.longest_wrong_s > LONGEST_WRONG_S or is_unnamed or is_lost:
             failed.add(number)
         reasons = next((session.reasons[0] for session in sessions if session.reasons), None)
         rows.append(
@@ -191,14 +205,16 @@ def integrity_table(cases: Sequence[Sequence[Session]]) -> Table:
                 found.longest_wrong_s,
                 found.largest_mm,
                 found.detected_s,
+                found.named_s,
+                found.named or None,
                 found.on_s,
                 found.wrong_on_s,
                 reasons,
             )
         )
     return Table(
-        name="integrity",
-        title="Falsified recordings",
+        name=f"integrity_{sensor}",
+        title=f"Falsified recordings, sensor {sensor}",
         columns=(
             "kind",
             "size",
@@ -207,6 +223,8 @@ def integrity_table(cases: Sequence[Sequence[Session]]) -> Table:
             "longest [s]",
             "largest error [mm]",
             "detected after [s]",
+            "named after [s]",
+            "as",
             "beam on [s]",
             "of it outside [s]",
             "first reason",
@@ -226,6 +244,12 @@ def integrity_table(cases: Sequence[Sequence[Session]]) -> Table:
 def _is_wrong(session: Session) -> BoolArray:
     with np.errstate(invalid="ignore"):
         return np.asarray(session.is_measured & (np.abs(session.error_mm) > WRONG_MM).any(axis=1))
+
+
+def _named(session: Session) -> tuple[float, str] | None:
+    """Return the time to the first code that names the cause, and the code."""
+    found = [(session.first_s[code], code) for code in session.case.causes if code in session.first_s]
+    return min(found, default=None)
 
 
 def _detected_s(session: Session) -> float | None:

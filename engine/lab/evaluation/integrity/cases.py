@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from engine.core.errors import InvalidValueError
+from engine.core.frames import LostReason
+from engine.core.gate_state import HoldReason
 from engine.core.signals import HeadDirection
 from engine.lab.phantom.falsifications import (
     BLACK_RGB,
@@ -20,6 +22,16 @@ from engine.lab.phantom.falsifications import (
 HONEST_S = 3.0
 """Honest frames before a falsification [s]."""
 FALSE_S = 8.0
+POSITION = "position"
+COVERED = (LostReason.SURFACE_CHANGED, LostReason.RESIDUAL_HIGH)
+DISPLACED = (LostReason.LAYOUT_CHANGED,)
+UNSEEN = (LostReason.COVERAGE_LOW, *COVERED)
+MOVED = (POSITION, HoldReason.PATIENT_SHIFTED)
+CAMERA = (LostReason.CAMERA_MOVED,)
+OLD = (LostReason.FRAME_FROZEN, HoldReason.FRAME_STALE)
+HONEST = "honest"
+HONEST_BREATHING_S = 40.0
+"""Long enough for a breath hold, or an isovolume manoeuvre [s]."""
 SLOW_S = 60.0
 
 
@@ -41,6 +53,11 @@ class Case:
         Whether the patient lies feet first from the beginning, while the model is learned.
     head_direction
         As given to the measurement; without one it is assumed at the top, and only the whole region may gate.
+    causes
+        The codes of losses and holds that name it, `POSITION` for a reported movement of the patient; empty where
+        nothing is to be named.
+    scenario
+        How the patient breathes; the model is learned from regular breathing in any case.
     """
 
     kind: str
@@ -50,6 +67,13 @@ class Case:
     is_rigid: bool = False
     is_turned: bool = False
     head_direction: HeadDirection | None = HeadDirection.TOP
+    causes: tuple[str, ...] = ()
+    scenario: str = "regular"
+
+    @property
+    def is_honest(self) -> bool:
+        """Whether nothing is false: then no frame may be lost."""
+        return self.kind == HONEST
 
     @property
     def name(self) -> str:
@@ -82,7 +106,7 @@ def falsification_of(kind: str, size: str | None, *, start_s: float) -> Falsific
         patient who lies the other way round from the beginning.
     """
     offered = [case for case in cases(is_slow=True) if case.falsification.stale is None and not case.is_turned]
-    kinds = dict.fromkeys(case.kind for case in offered if case.kind != "honest")
+    kinds = dict.fromkeys(case.kind for case in offered if not case.is_honest)
     if kind not in kinds:
         raise InvalidValueError("falsify", kind, f"one of {', '.join(kinds)}")
     sizes = {case.size: case for case in offered if case.kind == kind}
@@ -97,7 +121,9 @@ def _false(**parts: object) -> Falsification:
 
 
 def _honest() -> Iterator[Case]:
-    yield Case(kind="honest", size="-", falsification=_false())
+    for scenario in ("regular", "irregular", "dibh", "isovolume", "drift"):
+        seconds = FALSE_S if scenario == "regular" else HONEST_BREATHING_S
+        yield Case(kind=HONEST, size=scenario, falsification=_false(), scenario=scenario, seconds=seconds)
     yield Case(kind="marker hidden", size="0.7 s", falsification=_false(hides_marker_s=0.7))
     yield Case(kind="marker hidden", size="3 s", falsification=_false(hides_marker_s=3.0))
 
@@ -109,18 +135,21 @@ def _covers() -> Iterator[Case]:
                 kind=f"sheet laid over {part}",
                 size=f"{height_mm:g} mm",
                 falsification=_false(cover=Cover(height_mm=height_mm, part=part)),
+                causes=COVERED,
             )
         for height_mm in (2.0, 3.0, 5.0):
             yield Case(
                 kind=f"sheet of the skin's colour laid over {part}",
                 size=f"{height_mm:g} mm",
                 falsification=_false(cover=Cover(height_mm=height_mm, part=part, has_color=False)),
+                causes=COVERED,
             )
     for height_mm in (3.0, 5.0, 8.0, 12.0):
         yield Case(
             kind="sheet laid over half while a marker is hidden",
             size=f"{height_mm:g} mm",
             falsification=_false(cover=Cover(height_mm=height_mm), hides_marker_s=0.7),
+            causes=COVERED,
         )
     for part, height_mm, speed_mm_s in (
         (Part.HALF, 3.0, 150.0),
@@ -136,6 +165,7 @@ def _covers() -> Iterator[Case]:
                 kind=f"{drape} with a soft edge drawn over {part}",
                 size=f"{height_mm:g} mm, {speed_mm_s:g} mm/s",
                 falsification=_false(cover=cover),
+                causes=COVERED,
             )
 
 
@@ -145,6 +175,7 @@ def _markers() -> Iterator[Case]:
             kind="marker re-attached",
             size=f"{abs(outward_mm):g} mm {'out' if outward_mm > 0.0 else 'in'}wards",
             falsification=_false(marker=MovedMarker(marker=2, outward_mm=outward_mm)),
+            causes=DISPLACED,
         )
     for up_mm in (5.0, 12.0):
         yield Case(
@@ -153,6 +184,7 @@ def _markers() -> Iterator[Case]:
             falsification=_false(
                 marker=MovedMarker(marker=2, up_mm=up_mm), cover=Cover(height_mm=up_mm), hides_marker_s=0.7
             ),
+            causes=(*DISPLACED, *COVERED),
         )
 
 
@@ -162,6 +194,7 @@ def _blind_areas() -> Iterator[Case]:
             kind=f"no depth over the lowest {1.0 - first:.0%}, skin raised",
             size=f"{raised_mm:g} mm",
             falsification=_false(blind=Blind(first=first, last=1.05, raised_mm=raised_mm)),
+            causes=UNSEEN,
         )
 
 
@@ -178,43 +211,53 @@ def _moves() -> Iterator[Case]:
         yield _move("camera lowered", f"{up_mm:g} mm", Move(up_mm=up_mm), is_camera=True)
     for up_mm in (2.0, 5.0):
         couch = _false(camera=Move(up_mm=-up_mm), floor_stays=True)
-        yield Case(kind="couch lowered", size=f"{up_mm:g} mm", falsification=couch, is_rigid=True)
+        yield Case(kind="couch lowered", size=f"{up_mm:g} mm", falsification=couch, is_rigid=True, causes=CAMERA)
     yield _move("camera tilted", "1 deg", Move(tilt_deg=1.0), is_camera=True)
-    yield _move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True)
+    # In the picture this is a patient who was shifted: couch and floor are flat.
+    yield replace(_move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True), causes=(*CAMERA, *MOVED))
 
 
 def _slow_moves() -> Iterator[Case]:
     slow = {"over_s": SLOW_S, "steps": 40}
     for move, name in ((Move(up_mm=-4.0, **slow), "lowered"), (Move(tilt_deg=2.0, **slow), "tilted")):  # type: ignore[arg-type]
         size = f"{abs(move.up_mm) or move.tilt_deg:g} in {SLOW_S:g} s"
-        yield Case(kind=f"body {name}", size=size, falsification=_false(body=move), seconds=SLOW_S, is_rigid=True)
-        yield Case(kind=f"camera {name}", size=size, falsification=_false(camera=move), seconds=SLOW_S, is_rigid=True)
+        body = Case(
+            kind=f"body {name}", size=size, falsification=_false(body=move), seconds=SLOW_S, is_rigid=True, causes=MOVED
+        )
+        yield body
+        yield replace(body, kind=f"camera {name}", falsification=_false(camera=move), causes=CAMERA)
 
 
 def _move(kind: str, size: str, move: Move, *, is_camera: bool = False) -> Case:
     falsification = _false(camera=move) if is_camera else _false(body=move)
-    return Case(kind=kind, size=size, falsification=falsification, is_rigid=True)
+    causes = CAMERA if is_camera else MOVED
+    return Case(kind=kind, size=size, falsification=falsification, is_rigid=True, causes=causes)
 
 
 def _stale() -> Iterator[Case]:
     for ring, flicker in ((1, 0.0), (1, 0.01), (1, 0.05), (2, 0.0), (9, 0.0), (16, 0.0), (64, 0.0), (9, 0.01)):
         kind = "frozen picture" if ring == 1 else f"ring of {ring} old pictures"
         stale = Stale(ring=ring, flicker=flicker)
-        yield Case(kind=kind, size=f"{flicker:.0%} flicker", falsification=_false(stale=stale), seconds=2.0 * FALSE_S)
+        size = f"{flicker:.0%} flicker"
+        yield Case(kind=kind, size=size, falsification=_false(stale=stale), seconds=2.0 * FALSE_S, causes=OLD)
     for rate in (0.05, 0.2):
         stale = Stale(delay_s_per_s=rate)
-        yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale))
+        yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale), causes=OLD)
 
 
 def _silent_checks() -> Iterator[Case]:
     """Yield what passes a check that cannot work, or that compares with the frame before."""
     for part in (Part.HALF, Part.WHOLE):
         cover = Cover(height_mm=3.0, part=part, rgb=BLACK_RGB)
-        yield Case(kind=f"black cover laid over {part}", size="3 mm", falsification=_false(cover=cover))
+        kind = f"black cover laid over {part}"
+        yield Case(kind=kind, size="3 mm", falsification=_false(cover=cover), causes=COVERED)
     sheet = Cover(height_mm=3.0, has_color=False)
     yield Case(kind="holes that roll", size="-", falsification=_false(rolling=Rolling()))
     yield Case(
-        kind="holes that roll, a sheet over half", size="3 mm", falsification=_false(rolling=Rolling(), cover=sheet)
+        kind="holes that roll, a sheet over half",
+        size="3 mm",
+        falsification=_false(rolling=Rolling(), cover=sheet),
+        causes=COVERED,
     )
     lower = Move(up_mm=-2.8)
     yield Case(
@@ -222,6 +265,7 @@ def _silent_checks() -> Iterator[Case]:
         size="2.8 mm",
         falsification=_false(camera=lower, scene_seen_s=HONEST_S - 1.3),
         is_rigid=True,
+        causes=(*CAMERA, *MOVED),
     )
     for slide_mm in (2.0, 5.0):
         yield Case(
@@ -233,7 +277,13 @@ def _slow_halves() -> Iterator[Case]:
     for height_mm, laid_s in ((4.0, 15.0), (2.5, 25.0)):
         swelling = Cover(height_mm=height_mm, edge_mm=80.0, has_color=False, laid_s=laid_s)
         size = f"{height_mm:g} mm in {laid_s:g} s"
-        yield Case(kind="half rises slowly", size=size, falsification=_false(cover=swelling), seconds=laid_s + FALSE_S)
+        yield Case(
+            kind="half rises slowly",
+            size=size,
+            falsification=_false(cover=swelling),
+            seconds=laid_s + FALSE_S,
+            causes=COVERED,
+        )
 
 
 def _orientations() -> Iterator[Case]:

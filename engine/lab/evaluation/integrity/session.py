@@ -4,7 +4,7 @@ The frames are rendered, not read from a file. The model is learned on honest fr
 reference is an end of exhale.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,9 +23,10 @@ from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import amplitude_window
-from engine.lab.evaluation.integrity.cases import HONEST_S, Case
+from engine.lab.evaluation.integrity.cases import HONEST_S, POSITION, Case
 from engine.lab.phantom.falsifications import Falsification, Move, Stale
 from engine.lab.phantom.scene import Script
+from engine.lab.phantom.sensor import USUAL
 from engine.lab.phantom.studio import BREATHING_MODES, Studio
 from engine.lab.phantom.truth import CELL_PX, POINTS_RC
 from engine.motion.learning.trainer import InlineTrainer
@@ -33,6 +34,7 @@ from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 
 FPS = 30.0
+REGULAR = "regular"
 TRAINING_S = 45.0
 SEARCH_S = (46.0, 54.0)
 """Time within which an end of exhale is chosen as the reference [s]."""
@@ -80,6 +82,8 @@ class Session:
         Whether a rigid movement of the patient was reported: above 1 mm in height or half a degree, shape (n,).
     reasons
         First text of each kind of loss and hold.
+    first_s
+        Time of the first frame with each code of a loss or hold, and of a reported movement (`POSITION`) [s].
     """
 
     case: Case
@@ -91,6 +95,7 @@ class Session:
     outside_mm: FloatArray
     reasons: tuple[str, ...]
     is_moved: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    first_s: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,6 +108,7 @@ class Volunteer:
     reference_s: float
     is_turned: bool = False
     head_direction: HeadDirection | None = HeadDirection.TOP
+    sensor: str = USUAL
 
 
 def learn(
@@ -110,6 +116,7 @@ def learn(
     seed: int,
     *,
     is_turned: bool,
+    sensor: str = USUAL,
     head_direction: HeadDirection | None = HeadDirection.TOP,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Volunteer:
@@ -120,7 +127,7 @@ def learn(
     ModelError
         The frames were not enough.
     """
-    studio = Studio(_script(number, seed, _turned(None, is_turned=is_turned)))
+    studio = Studio(_script(number, seed, _turned(None, is_turned=is_turned), sensor=sensor))
     pipeline = Pipeline(studio.scene.rig.calibration, _settings(head_direction), ManualClock(), InlineTrainer())
     for index in range(int(TRAINING_S * FPS)):
         pipeline.measure(_frame(studio, index, index / FPS))
@@ -134,6 +141,7 @@ def learn(
                 reference_s=_end_of_exhale(studio),
                 is_turned=is_turned,
                 head_direction=head_direction,
+                sensor=sensor,
             )
     raise ModelError(f"volunteer {number}: {TRAINING_S:g} s were not enough to learn a model")
 
@@ -142,7 +150,11 @@ def run(volunteer: Volunteer, case: Case, on_frame: Callable[[], None] = lambda:
     """Measure one case."""
     start_s = volunteer.reference_s
     falsification = replace(case.falsification, start_s=start_s + HONEST_S)
-    studio = Studio(_script(volunteer.number, volunteer.seed, _turned(falsification, is_turned=volunteer.is_turned)))
+    turned = _turned(falsification, is_turned=volunteer.is_turned)
+    script = _script(volunteer.number, volunteer.seed, turned, sensor=volunteer.sensor, scenario=case.scenario)
+    studio = Studio(script)
+    if case.scenario != REGULAR:
+        start_s = _end_of_exhale(studio)
     recorder = _Recorder(studio.scene.rig.calibration, volunteer.model, volunteer.head_direction)
     frames = _frames(studio, start_s, HONEST_S + case.seconds, case.falsification.stale, volunteer.seed)
     for frame, time_s in frames:
@@ -155,8 +167,18 @@ def _settings(head_direction: HeadDirection | None) -> PipelineSettings:
     return replace(SETTINGS, superior_px=None if head_direction is None else head_direction.superior_px)
 
 
-def _script(number: int, seed: int, falsification: Falsification | None) -> Script:
-    return Script(scenario="regular", volunteer=number, seconds=130.0, fps=FPS, seed=seed, falsification=falsification)
+def _script(
+    number: int, seed: int, falsification: Falsification | None, *, sensor: str, scenario: str = REGULAR
+) -> Script:
+    return Script(
+        scenario=scenario,
+        volunteer=number,
+        seconds=130.0,
+        fps=FPS,
+        seed=seed,
+        falsification=falsification,
+        sensor=sensor,
+    )
 
 
 def _turned(falsification: Falsification | None, *, is_turned: bool) -> Falsification | None:
@@ -298,6 +320,7 @@ class _Recorder:
             outside_mm=np.maximum(outside_mm, 0.0)[onset:],
             reasons=self._reasons(onset),
             is_moved=np.array([_is_moved(one.position) for one in self._measurements])[onset:],
+            first_s=self._first_s(onset),
         )
 
     def _beam(self, signal: int, lower_mm: float, upper_mm: float) -> BoolArray:
@@ -312,6 +335,22 @@ class _Recorder:
                 gate = step_gate(gate, event, measurement.received_ns, limits)
             found.append(gate.state is GateState.BEAM_ON)
         return np.array(found)
+
+    def _first_s(self, onset: int) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for number, (measurement, holds) in enumerate(
+            zip(self._measurements[onset:], self._holds[onset:], strict=True)
+        ):
+            codes: list[str] = [hold.reason.value for hold in holds]
+            if measurement.reason is not None:
+                codes.append(measurement.reason.reason.value)
+            if any(_unseen(measurement)):
+                codes.append(HoldReason.COVERAGE_LOW.value)
+            if _is_moved(measurement.position):
+                codes.append(POSITION)
+            for code in codes:
+                found.setdefault(code, number / FPS)
+        return found
 
     def _reasons(self, onset: int) -> tuple[str, ...]:
         found: dict[str, str] = {}

@@ -14,6 +14,7 @@ from engine.lab.evaluation.report.instrument_tables import (
 from engine.lab.evaluation.runs.scores import COLUMNS, Score, ScoredRun
 from engine.lab.evaluation.table import Cell, Table
 from engine.lab.phantom.builds import find_build
+from engine.lab.phantom.sensor import SENSORS, USUAL
 
 GROUPS = {
     "table2": "regular",
@@ -21,6 +22,14 @@ GROUPS = {
     "shift": "shift of the patient (after it)",
     "dibh": "breath hold (in the holds)",
     "isovolume": "isovolume (in the manoeuvre)",
+}
+KINDS = {
+    "table2": "regular",
+    "irregular": "irregular",
+    "shift": "shift",
+    "dibh": "breath hold",
+    "isovolume": "isovolume",
+    "drift": "drift",
 }
 SWEEPS = {"distance": "camera over the chest [mm]", "amplitude": "amplitude of the abdomen [mm]"}
 SWEEPS |= {"rate": "frames per second", "holes": "share of the body without a reading"}
@@ -31,8 +40,73 @@ def all_tables(scored: list[ScoredRun]) -> list[Table]:
     """Return every table that has rows for these runs."""
     first = (glance, whole_roi, table_1, table_2, table_2_compared, laser_table, table_3)
     makers = (*first, spirometer_table, components, filters, spectra)
-    tables = [make(scored) for make in makers] + [sweep(scored, group) for group in SWEEPS]
-    return [table for table in tables if table.rows]
+    usual = on_usual_sensor(scored)
+    tables = [make(usual) for make in makers] + [sweep(usual, group) for group in SWEEPS]
+    return [table for table in (accuracy(scored), *tables) if table.rows]
+
+
+def on_usual_sensor(scored: Iterable[ScoredRun]) -> list[ScoredRun]:
+    """Return the runs of the sensor that the article's tables are made with."""
+    return [one for one in scored if one.run.sensor == USUAL]
+
+
+def accuracy(scored: list[ScoredRun]) -> Table:
+    """Accuracy by sensor and kind of breathing: every method side by side, and what the rest of ours consists of."""
+    ran = [
+        (f"{sensor}, {KINDS[group]}, {one.run.name}", one)
+        for sensor in SENSORS
+        for group in KINDS
+        for one in of_group(scored, group)
+        if one.run.sensor == sensor and "offline" in one.whole_scores
+    ]
+    return Table(
+        name="accuracy",
+        title="Accuracy on both sensors: mean error of cells of 10 px [mm]",
+        columns=(
+            "sensor, breathing, recording",
+            "plain, live",
+            "ours, live",
+            "smoothed PCA, whole",
+            "ours, whole",
+            "... constants out",
+            "... and gains out",
+            "oracle",
+            "ours, worst frame",
+            "ours, whole region",
+            "ours, frames",
+        ),
+        rows=tuple((name, *_accuracy_of(one)) for name, one in ran),
+        digits=3,
+        note="Live: all frames after the training, as a session measures. Whole: every frame, as `tidegate measure` "
+        "does. Constants out: without each cell's mean error, its share of the reference. Gains out: without what is "
+        "proportional to its motion, the error of the components. What is left then is noise from frame to frame.",
+        failed=frozenset(number for number, (_, one) in enumerate(ran) if _loses(one)),
+    )
+
+
+def _accuracy_of(one: ScoredRun) -> tuple[Cell, ...]:
+    live, smoothed, ours = one.scores, one.whole_scores.get("smoothed"), one.whole_scores["offline"]
+    plain, session, oracle = (
+        None if (score := live.get(name)) is None else score.cells_mm for name in ("plain", "ours", "oracle")
+    )
+    return (
+        plain,
+        session,
+        None if smoothed is None else smoothed.cells_mm,
+        ours.cells_mm,
+        ours.constants_out_mm,
+        ours.gains_out_mm,
+        oracle,
+        ours.worst_frame_mm,
+        ours.whole_mm,
+        f"{one.whole_share['offline']:.1%}",
+    )
+
+
+def _loses(one: ScoredRun) -> bool:
+    """Whether the simple method is better than ours."""
+    smoothed = one.whole_scores.get("smoothed")
+    return smoothed is not None and one.whole_scores["offline"].cells_mm > smoothed.cells_mm
 
 
 def of_group(scored: list[ScoredRun], group: str) -> list[ScoredRun]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.core.files import write_whole
-from engine.lab.evaluation.report.bench_tables import all_tables
+from engine.lab.evaluation.report.bench_tables import all_tables, on_usual_sensor
 from engine.lab.evaluation.report.figures import all_figures
 from engine.lab.evaluation.report.more_figures import Picture
 from engine.lab.evaluation.runs.marks import Mark, marks_table, reach
@@ -128,7 +128,7 @@ def write_report(
     """Write the report to the folder ``out``; return the tables, marks first, and the marks."""
     marks = reach(scored)
     tables = [marks_table(marks), *all_tables(scored)]
-    figures = all_figures(scored)
+    figures = all_figures(on_usual_sensor(scored))
     heading = Heading(
         command=command,
         version=version,
@@ -173,6 +173,7 @@ def _run(one: ScoredRun) -> dict[str, object]:
         "judged_frames": int(one.frames.sum()),
         "scores": {name: asdict(score) for name, score in one.scores.items()},
         "event_scores": {name: asdict(score) for name, score in one.event_scores.items()},
+        "whole_scores": {name: asdict(score) for name, score in one.whole_scores.items()},
         "trust": asdict(one.trust),
         "notes": one.outcome.notes,
     }

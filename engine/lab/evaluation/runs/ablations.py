@@ -52,7 +52,7 @@ class Variant:
 
     name: str
     patches: Patches = field(default_factory=dict)
-    components: int = 3
+    components: int = TrainingSettings().components
 
     @contextmanager
     def applied(self) -> Iterator[None]:
@@ -64,6 +64,7 @@ class Variant:
 
 
 _PROJECTION = "engine.motion.stages.projection"
+_FITTING = "engine.motion.learning.fitting"
 _SMOOTHING = "engine.motion.learning.shape_smoothing"
 VARIANTS = (
     Variant(name="as shipped"),
@@ -97,7 +98,8 @@ VARIANTS = (
     ),
     Variant(name="no outlier rejection", patches={(_PROJECTION, "OUTLIER_MM"): 1e4}),
     Variant(name="one component", components=1),
-    Variant(name="six components", components=6),
+    Variant(name="three components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}, components=3),
+    Variant(name="six components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}),
 )
 
 

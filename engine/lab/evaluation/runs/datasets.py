@@ -31,6 +31,11 @@ VOLUNTEERS = (1, 1, 2, 3, 3, 4, 4, 5, 6, 7, 7, 8, 8, 9, 10)
 LONG = ("D01", "D10")
 """Datasets of 52 s, as in the article's Figure 16: 350 frames at its rate."""
 
+LOCKING = "locking"
+WHOLE = ("regular", "irregular", "shift", "dibh", "isovolume", "drift")
+USUAL_WHOLE = ("D04", "D10", "I03", "S01", "H01", "V01", "V02", "G01")
+"""The recordings of the usual sensor that stand beside those of the second one."""
+
 SWEEP_VOLUNTEER = 1
 SWEEP_SECONDS = 24.0
 
@@ -46,6 +51,8 @@ class Run:
         ``holes`` for a point of a sweep, whose value is ``setting``.
     is_long
         Also measured with one component (Figures 16 and 17).
+    has_instruments
+        Whether a laser line is in view.
     is_pictured
         Also measured with the bilateral filter alone; its pictures are stored (Figures 8 and 14).
     """
@@ -62,6 +69,7 @@ class Run:
     setting: float | None = None
     is_long: bool = False
     is_pictured: bool = False
+    has_instruments: bool = True
 
     @property
     def is_sweep(self) -> bool:
@@ -71,7 +79,12 @@ class Run:
     @property
     def has_laser(self) -> bool:
         """Whether the recording contains a laser line; a sweep does not need one."""
-        return not self.is_sweep
+        return not self.is_sweep and self.has_instruments
+
+    @property
+    def is_measured_whole(self) -> bool:
+        """Whether it is also measured whole, in two passes, beside the smoothed PCA of all frames."""
+        return not self.is_sweep and self.scenario in WHOLE and (self.sensor != USUAL or self.name in USUAL_WHOLE)
 
     @property
     def frames(self) -> int:
@@ -97,7 +110,7 @@ class Run:
 
 def full_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
     """Return all runs: the fifteen datasets, the article's other experiments and the sweeps; the longest first."""
-    runs = [*_table2(seed, seconds), *_others(seed), *_sweeps(seed)]
+    runs = [*_table2(seed, seconds), *_others(seed), *_second_sensor(seed), *_sweeps(seed)]
     return sorted(runs, key=lambda run: -run.frames)
 
 
@@ -143,6 +156,7 @@ def _others(seed: int) -> list[Run]:
         ("H02", "dibh", 4, 40.0, False),
         ("S01", "shift", 1, 34.0, False),
         ("S02", "shift", 10, 34.0, False),
+        ("G01", "drift", 1, 40.0, False),
     )
     return [
         Run(
@@ -158,13 +172,40 @@ def _others(seed: int) -> list[Run]:
     ]
 
 
+def _second_sensor(seed: int) -> list[Run]:
+    """Return a recording or two of each kind of breathing on the sensor whose errors follow the sub-pixel phase."""
+    scenarios = (
+        ("L01", "table2", "regular", 3, 32.0),
+        ("L02", "table2", "regular", 7, 32.0),
+        ("L03", "irregular", "irregular", 5, 40.0),
+        ("L04", "shift", "shift", 3, 34.0),
+        ("L05", "dibh", "dibh", 3, 40.0),
+        ("L06", "isovolume", "isovolume", 3, 38.0),
+        ("L07", "isovolume", "isovolume", 8, 38.0),
+        ("L08", "drift", "drift", 6, 40.0),
+    )
+    return [
+        Run(
+            name=name,
+            group=group,
+            scenario=scenario,
+            volunteer=volunteer,
+            seed=seed + 300 + position,
+            seconds=seconds,
+            sensor=LOCKING,
+            has_instruments=False,
+        )
+        for position, (name, group, scenario, volunteer, seconds) in enumerate(scenarios)
+    ]
+
+
 def _sweeps(seed: int) -> list[Run]:
     """Return the sweeps: one volunteer, one seed, one parameter changed at a time."""
     points: list[tuple[str, float, Departure, float]] = []
-    points += [("distance", mm, Departure(camera_mm=mm), 30.0) for mm in (600.0, 750.0, 900.0, 1050.0, 1200.0)]
-    points += [("amplitude", mm, Departure(amplitude_mm=mm), 30.0) for mm in (2.0, 5.0, 10.0, 20.0, 40.0)]
+    points += [("distance", mm, Departure(camera_mm=mm), 30.0) for mm in (600.0, 900.0, 1200.0)]
+    points += [("amplitude", mm, Departure(amplitude_mm=mm), 30.0) for mm in (2.0, 10.0, 40.0)]
     points += [("rate", fps, NO_DEPARTURE, fps) for fps in (10.0, 15.0, 30.0)]
-    points += [("holes", share, Departure(hole_share=share), 30.0) for share in (0.0, 0.2, 0.4, 0.6)]
+    points += [("holes", share, Departure(hole_share=share), 30.0) for share in (0.0, 0.4, 0.6)]
     return [
         Run(
             name=f"{group}-{value:g}",

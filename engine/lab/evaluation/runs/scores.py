@@ -17,6 +17,7 @@ from engine.lab.evaluation.runs.datasets import Run
 
 SILENT_MM = 1.0
 COLUMNS = ("plain", "ours", "oracle")
+WHOLE = ("smoothed", "offline")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +31,8 @@ class Score:
     cells_mm, worst_frame_mm, largest_mm
         Absolute error over the cells of 10 px: mean over cells and frames, mean over cells of the worst frame, and
         maximum over cells and frames.
+    constants_out_mm, gains_out_mm
+        As ``cells_mm``, with each cell's constant taken off (its share of the reference), and with its gain too.
     whole_mm, whole_worst_mm
         Absolute error of the whole region's mean motion: mean and maximum.
     points_mm, points_max_mm, points_deviation_mm
@@ -46,6 +49,8 @@ class Score:
     cells_mm: float
     worst_frame_mm: float
     largest_mm: float
+    constants_out_mm: float
+    gains_out_mm: float
     whole_mm: float
     whole_worst_mm: float
     points_mm: tuple[float, ...]
@@ -100,19 +105,23 @@ def errors(truth: Track, track: Track) -> Track | None:
     )
 
 
-def score_method(outcome: Outcome, name: str, within: BoolArray | None = None) -> Score | None:
+def score_method(
+    outcome: Outcome, name: str, within: BoolArray | None = None, *, is_whole: bool = False
+) -> Score | None:
     """Compute the score of one method; None if it measured none of the frames.
 
     Parameters
     ----------
     within
         Restricts the scored frames, shape (n,).
+    is_whole
+        Every frame that it measured, not only those behind the last method's training.
     """
     track = outcome.tracks.get(name)
     error = None if track is None else errors(outcome.truth, track)
     if track is None or error is None:
         return None
-    frames = scored_frames(outcome) & track.is_measured
+    frames = track.is_measured if is_whole else scored_frames(outcome) & track.is_measured
     if within is not None:
         frames &= within
     if not frames.any():
@@ -125,6 +134,8 @@ def score_method(outcome: Outcome, name: str, within: BoolArray | None = None) -
         cells_mm=float(np.nanmean(cells)),
         worst_frame_mm=float(np.nanmax(np.nanmean(cells, axis=(1, 2)))),
         largest_mm=float(np.nanmax(cells)),
+        constants_out_mm=_left_mm(error.cells_mm[frames]),
+        gains_out_mm=_left_mm(_without_gain(error.cells_mm[frames], outcome.truth.cells_mm[frames])),
         whole_mm=float(whole.mean()),
         whole_worst_mm=float(whole.max()),
         points_mm=tuple(points.mean(axis=0).tolist()),
@@ -136,6 +147,25 @@ def score_method(outcome: Outcome, name: str, within: BoolArray | None = None) -
         volume_correlation=correlation(track.volume_l[frames], truth.volume_l[frames]),
         halves_correlation=correlation(track.wide_mm[frames, 1], track.wide_mm[frames, 2]),
     )
+
+
+def _left_mm(errors_mm: FloatArray) -> float:
+    """Mean absolute error of the cells without the mean of each, of errors of shape (n, rows, columns)."""
+    return float(np.nanmean(np.abs(errors_mm - _means(errors_mm))))
+
+
+def _means(values: FloatArray) -> FloatArray:
+    """Mean of each cell over the frames; NaN for a cell that was never measured."""
+    counts = np.isfinite(values).sum(axis=0)
+    return np.where(counts > 0, np.nansum(values, axis=0) / np.maximum(counts, 1), np.nan)
+
+
+def _without_gain(errors_mm: FloatArray, depth_mm: FloatArray) -> FloatArray:
+    """Take off each cell's error that is proportional to its true motion."""
+    motion_mm = np.where(np.isfinite(errors_mm), depth_mm - depth_mm.mean(axis=0), np.nan)
+    energy = np.maximum(np.nansum(motion_mm**2, axis=0), 1e-9)
+    centred = errors_mm - _means(errors_mm)
+    return np.asarray(errors_mm - np.nansum(centred * motion_mm, axis=0) / energy * motion_mm)
 
 
 def assess_trust(outcome: Outcome) -> Trust:
@@ -186,6 +216,8 @@ class ScoredRun:
         Scored frames, shape (n,).
     scores, event_scores
         By method: over all frames after training, and over the frames of the scenario's event (all, if it has none).
+    whole_scores
+        By method that measures a recording whole: over every frame, with its share in ``whole_share``.
     trust
         Tidegate's own residuals and lost frames, compared with its true errors.
     cell_maps_mm
@@ -197,6 +229,8 @@ class ScoredRun:
     frames: BoolArray
     scores: dict[str, Score]
     event_scores: dict[str, Score]
+    whole_scores: dict[str, Score]
+    whole_share: dict[str, float]
     trust: Trust
     cell_maps_mm: dict[str, FloatArray]
 
@@ -212,6 +246,7 @@ def score_run(run: Run, outcome: Outcome) -> ScoredRun:
     event = event_frames(run, outcome)
     scores = {name: score for name in outcome.tracks if (score := score_method(outcome, name)) is not None}
     event_scores = {name: score for name in outcome.tracks if (score := score_method(outcome, name, event)) is not None}
+    whole = {name: score for name in WHOLE if (score := score_method(outcome, name, is_whole=True)) is not None}
     maps = {name: cell_map for name in COLUMNS if (cell_map := _cell_map(outcome, name)) is not None}
     scored = ScoredRun(
         run=run,
@@ -219,6 +254,8 @@ def score_run(run: Run, outcome: Outcome) -> ScoredRun:
         frames=scored_frames(outcome),
         scores=scores,
         event_scores=event_scores,
+        whole_scores=whole,
+        whole_share={name: score.frames / len(outcome.timestamp_us) for name, score in whole.items()},
         trust=assess_trust(outcome),
         cell_maps_mm=maps,
     )

@@ -4,6 +4,7 @@ Every frame is decoded once and passed to all methods.
 """
 
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ from engine.lab.evaluation.methods.plain import (
     smooth,
     unfiltered,
 )
+from engine.lab.evaluation.methods.smoothed import SmoothedPca
 from engine.lab.evaluation.playback import decoded_frames
 from engine.lab.evaluation.runs.datasets import Run, fingerprint
 from engine.lab.phantom.recording import load_truth
@@ -39,6 +41,7 @@ from engine.lab.phantom.truth import CELL_PX, POINTS_RC, Truth
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from engine.offline.measure import measure_recording
 
 EIGENVALUES = 10
 MEASURING_SOURCES = (
@@ -46,9 +49,9 @@ MEASURING_SOURCES = (
     "calibration/*.py",
     "capture/*.py",
     "capture/oni/*.py",
-    "gating/limits.py",
-    "gating/windows/*.py",
+    "gating/**/*.py",
     "motion/**/*.py",
+    "offline/*.py",
     "lab/evaluation/instruments/*.py",
     "lab/evaluation/methods/*.py",
     "lab/evaluation/playback.py",
@@ -73,8 +76,8 @@ class TrialSettings:
     plain_frames: int = TRAINING_FRAMES
     training: TrainingSettings = field(default_factory=TrainingSettings)
 
-    def pipeline(self, components: int) -> PipelineSettings:
-        """Return Tidegate's settings: cells of 10 px and the truth's five points."""
+    def pipeline(self, components: int | None = None) -> PipelineSettings:
+        """Return Tidegate's settings: cells of 10 px, the truth's five points, and by default its own components."""
         training = self.training
         return PipelineSettings(
             cell_px=CELL_PX,
@@ -85,7 +88,7 @@ class TrialSettings:
                 min_seconds=training.min_seconds,
                 max_seconds=training.max_seconds,
                 max_frames=training.max_frames,
-                components=components,
+                components=training.components if components is None else components,
             ),
         )
 
@@ -119,18 +122,51 @@ def measure_run(
     keep_calls_in_their_thread()
     truth = load_truth(folder / "truth.npz")
     calibration = load_calibration(folder / "calibration.json")
+    chosen = settings or TrialSettings()
     laser = LaserSide(calibration, folder) if run.has_laser else None
-    trial = _Trial(run, calibration, truth, settings or TrialSettings(), laser)
+    trial = _Trial(run, calibration, truth, chosen, laser)
     source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
     for frame in decoded_frames(source):
         trial.add_frame(frame)
         if on_frame is not None:
             on_frame(frame.index + 1)
     outcome = trial.outcome()
+    if run.is_measured_whole:
+        outcome.tracks["offline"] = _measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
     if not run.is_sweep:
         lag_s = truth.spirometer_lag_s
         add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
     return outcome
+
+
+def _measured_whole(folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int) -> Track:
+    """Measure a recording as `tidegate measure` does: every frame, by a model of all of it."""
+    track, passes = Track.empty(frames), [0]
+
+    def keep(measurement: Measurement) -> None:
+        if passes[0] == 2 and measurement.motion is not None:
+            _write(track, measurement.frame_index, measurement.motion)
+
+    source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
+    with tempfile.TemporaryDirectory() as out:
+        measure_recording(
+            source,
+            calibration,
+            Path(out),
+            settings=settings,
+            on_frame=keep,
+            on_pass=lambda number: passes.__setitem__(0, number),
+        )
+    return track
+
+
+def _write(track: Track, index: int, motion: Motion) -> None:
+    beta = motion.projection.beta
+    track.cells_mm[index] = motion.regions_mm
+    track.wide_mm[index] = (motion.whole_mm, motion.thorax_mm, motion.abdomen_mm)
+    track.points_mm[index] = motion.points_mm
+    track.volume_l[index] = motion.volume_l
+    track.beta[index, : len(beta)] = beta[:COEFFICIENTS]
 
 
 class _Trial:
@@ -139,10 +175,11 @@ class _Trial:
     ) -> None:
         n = len(truth.timestamp_us)
         self._truth, self._laser = truth, laser
-        self._ours = _TidegateSide(calibration, settings.pipeline(COEFFICIENTS), n)
+        self._ours = _TidegateSide(calibration, settings.pipeline(), n)
         self._one_component = _TidegateSide(calibration, settings.pipeline(1), n) if run.is_long else None
         self._plain = _PlainSide(run, calibration, settings, n)
         self._oracle = _OracleSide(run, truth)
+        self._smoothed = SmoothedPca(calibration, settings.pipeline(), n) if run.is_measured_whole else None
         self._is_pictured = run.is_pictured
         self._pictures: dict[str, FloatArray] = {}
 
@@ -152,6 +189,8 @@ class _Trial:
             self._one_component.add_frame(frame)
         if self._laser is not None:
             self._laser.add_frame(frame, measured)
+        if self._smoothed is not None:
+            self._smoothed.add_frame(frame)
         plain = self._plain.add_frame(frame)
         # The oracle uses our reference frame, so that both have the same frame's noise in their errors.
         self._oracle.add_frame(frame, is_learning=self._ours.track.reference is None)
@@ -165,6 +204,8 @@ class _Trial:
         tracks = {"ours": self._ours.track, "oracle": self._oracle.track, **self._plain.tracks}
         if self._one_component is not None:
             tracks["ours1"] = self._one_component.track
+        if self._smoothed is not None:
+            tracks["smoothed"] = self._smoothed.track()
         # Before the tracks are converted from depth to motion.
         instruments = {} if self._laser is None else self._laser.compare(tracks["plain"].cells_mm)
         for name, track in tracks.items():
@@ -209,11 +250,7 @@ class _TidegateSide:
 
     def _write(self, index: int, motion: Motion) -> None:
         fit = motion.projection
-        self.track.cells_mm[index] = motion.regions_mm
-        self.track.wide_mm[index] = (motion.whole_mm, motion.thorax_mm, motion.abdomen_mm)
-        self.track.points_mm[index] = motion.points_mm
-        self.track.volume_l[index] = motion.volume_l
-        self.track.beta[index, : len(fit.beta)] = fit.beta[:COEFFICIENTS]
+        _write(self.track, index, motion)
         self.residual_mm[index], self.valid_share[index] = fit.residual_mm, fit.valid_share
         self.is_trusted[index] = (
             fit.residual_mm <= GATE.max_residual_mm

@@ -78,3 +78,23 @@ def test_nothing_that_moves_teaches_nothing():
     rest = np.repeat(REST_MM[None, ::2, ::2], 60, axis=0).astype(np.float32)
     with pytest.raises(ModelError, match="no motion"):
         learn(rest, np.ones_like(rest, dtype=bool))
+
+
+def moving_in(ways, noise_mm=0.8):
+    """Frames of a surface that moves in so many ways, each a wave of its own along the body and in time."""
+    depth, valid = frames(noise_mm, signal_mm=np.zeros(160))
+    rows = np.linspace(0.0, np.pi, depth.shape[1], dtype=np.float32)[:, None]
+    times = np.linspace(0.0, 2.0 * np.pi, len(depth), dtype=np.float32)
+    for way in range(1, ways + 1):
+        depth -= (4.0 / way) * np.sin((way + 3.0) * times)[:, None, None] * np.cos((way - 1.0) * rows)
+    return depth, valid
+
+
+@pytest.mark.parametrize(("ways", "noise_mm"), [(1, 0.8), (2, 0.8), (4, 0.8), (6, 0.8), (4, 6.0)])
+def test_a_component_is_kept_for_each_way_the_body_moves_and_none_for_noise(ways, noise_mm):
+    assert len(learn(*moving_in(ways, noise_mm), components=6).components) == ways
+
+
+def test_no_more_components_are_kept_than_the_setting_allows():
+    assert len(learn(*moving_in(4), components=3).components) == 3
+    assert len(learn(*moving_in(4), components=1).components) == 1

@@ -89,7 +89,7 @@ def test_a_model_s_file_keeps_the_scores(learned, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "scores", [np.zeros((5, 2)), np.zeros(3), np.full((4, 3), np.nan)], ids=["shape", "flat", "nan"]
+    "scores", [np.zeros((5, 7)), np.zeros(3), np.full((4, 2), np.nan)], ids=["shape", "flat", "nan"]
 )
 def test_scores_that_are_none_are_refused(learned, scores):
     active, _, _ = learned

@@ -9,9 +9,10 @@ from engine.lab.evaluation.integrity.session import FPS, SIGNALS, Session
 from engine.lab.phantom.falsifications import Falsification
 
 FRAMES = 60
+CAUSES = ("camera_moved", "patient_shifted")
 
 
-def session(*, is_rigid=False, errors=(), lost=(), held=(), on=(), outside=()):
+def session(*, is_rigid=False, errors=(), lost=(), held=(), on=(), outside=(), first_s=None):
     """A session of two seconds; each argument holds slices of frames, ``errors`` with their size in the last signal."""
     shape = (FRAMES, len(SIGNALS))
     error_mm, outside_mm = np.zeros(shape), np.zeros(shape)
@@ -27,7 +28,7 @@ def session(*, is_rigid=False, errors=(), lost=(), held=(), on=(), outside=()):
     for frames in outside:
         outside_mm[frames, 0] = 1.5
     return Session(
-        case=Case(kind="k", size="s", falsification=Falsification(start_s=3.0), is_rigid=is_rigid),
+        case=Case(kind="k", size="s", falsification=Falsification(start_s=3.0), is_rigid=is_rigid, causes=CAUSES),
         seconds=np.arange(FRAMES) / FPS,
         is_measured=is_measured,
         is_held=is_held,
@@ -35,6 +36,7 @@ def session(*, is_rigid=False, errors=(), lost=(), held=(), on=(), outside=()):
         is_on=is_on,
         outside_mm=outside_mm,
         reasons=("marker_lost: 3 of 4 markers found",) if lost else (),
+        first_s=first_s or {},
     )
 
 
@@ -59,6 +61,18 @@ def test_a_hold_is_a_detection_and_one_volunteer_without_one_leaves_it_open():
     assert verdict([held, session()]).detected_s is None
 
 
+def test_the_cause_is_named_by_the_first_of_its_codes_and_late_where_one_volunteer_s_is():
+    early = session(first_s={"marker_lost": 0.0, "patient_shifted": 0.4, "camera_moved": 0.2})
+    found = verdict([early, session(first_s={"patient_shifted": 0.6})])
+    assert (found.named_s, found.named) == (0.6, "camera_moved, patient_shifted")
+    assert verdict([early, session(first_s={"marker_lost": 0.1})]).named_s is None
+
+
+def test_every_case_that_is_false_has_codes_that_name_it():
+    nameless = {case.kind for case in cases(is_slow=True) if not case.causes}
+    assert nameless == {"honest", "marker hidden", "holes that roll", "stickers slide with the breath", "feet first"}
+
+
 def test_beam_on_outside_is_that_with_the_true_motion_far_outside():
     found = verdict([session(on=[slice(0, 30)], outside=[slice(15, 60)])])
     assert (found.on_s, found.wrong_on_s) == (1.0, 0.5)
@@ -66,9 +80,12 @@ def test_beam_on_outside_is_that_with_the_true_motion_far_outside():
 
 def test_a_row_fails_with_a_long_error_or_a_rigid_move_that_is_not_named():
     brief, long = session(errors=[(slice(0, 15), 2.0)]), session(errors=[(slice(0, 16), 2.0)])
-    unnamed, named = session(is_rigid=True), session(is_rigid=True, held=[slice(20, 60)])
-    table = integrity_table([[brief], [long], [unnamed], [named]])
-    assert table.failed == {1, 2}
+    unnamed, late, otherwise, named = (
+        session(is_rigid=True, held=[slice(20, 60)], first_s=first_s)
+        for first_s in ({}, {"camera_moved": 1.1}, {"residual_high": 0.1}, {"residual_high": 0.1, "camera_moved": 0.9})
+    )
+    table = integrity_table([[brief], [long], [unnamed], [late], [otherwise], [named]])
+    assert table.failed == {1, 2, 3, 4}
     assert "marker_lost: 3 of 4 markers found" in integrity_table([[session(lost=[slice(0, 3)])]]).to_csv()
 
 
@@ -77,4 +94,21 @@ def test_the_catalogue_has_every_kind_once_in_each_size():
     assert len(names) == len(set(names)) > 60
     kinds = {case.kind.split(",")[0].split(" over ")[0] for case in cases()}
     assert kinds >= {"honest", "sheet laid", "marker re-attached", "body raised", "camera lowered", "frozen picture"}
-    assert not any(case.seconds > 20.0 for case in cases())
+    assert not any(case.seconds > 20.0 for case in cases() if not case.is_honest)
+
+
+@pytest.mark.parametrize(("lost", "is_failed"), [(0, False), (1, False), (2, True)])
+def test_an_honest_recording_of_which_more_than_one_per_cent_is_lost_fails(lost, is_failed):
+    honest = next(case for case in cases() if case.is_honest)
+    shape = (150, len(SIGNALS))
+    one = Session(
+        case=honest,
+        seconds=np.arange(150) / 30.0,
+        is_measured=np.arange(150) >= lost,
+        is_held=np.zeros(150, bool),
+        error_mm=np.zeros(shape),
+        is_on=np.zeros(shape, bool),
+        outside_mm=np.zeros(shape),
+        reasons=(),
+    )
+    assert bool(integrity_table([[one]]).failed) is is_failed

@@ -18,7 +18,9 @@ from engine.lab.evaluation.runs.datasets import (
     quick_plan,
     write_recipe,
 )
+from engine.lab.evaluation.runs.marks import WHOLE_MM
 from engine.lab.evaluation.runs.scores import score_run
+from engine.lab.phantom.sensor import SENSORS, USUAL
 from tests.support.evaluation.small_bench import SETTINGS, files_under, small_run, tiny_run
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
@@ -185,11 +187,18 @@ def test_a_recipe_is_of_what_it_names(tmp_path):
 
 
 def test_the_fifteen_datasets_are_of_the_ten_volunteers_as_in_table_1():
-    fifteen = sorted((run for run in full_plan() if run.group == "table2"), key=lambda run: run.name)
+    plan = [run for run in full_plan() if run.sensor == USUAL]
+    fifteen = sorted((run for run in plan if run.group == "table2"), key=lambda run: run.name)
     assert [run.name for run in fifteen] == [f"D{number:02d}" for number in range(1, 16)]
     assert tuple(run.volunteer for run in fifteen) == VOLUNTEERS
     assert len({run.seed for run in fifteen}) == 15
     assert len({run.name for run in full_plan()}) == len(full_plan())
+
+
+def test_both_sensors_record_each_kind_of_breathing_to_be_measured_whole():
+    whole = [run for run in full_plan() if run.is_measured_whole]
+    for sensor in SENSORS:
+        assert {run.group for run in whole if run.sensor == sensor} == set(WHOLE_MM)
 
 
 def test_quick_is_three_datasets_of_three_volunteers():
