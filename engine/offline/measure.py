@@ -2,7 +2,8 @@
 
 The first pass does what a live session does: it learns the motion model from the first breaths. The second pass reads
 the recording again and measures every frame, so that the frames of the training are not lost, with a model of the whole
-recording (`engine.motion.learning.past_frames`). In both, the first measured frame is the reference. Frames are
+recording (`engine.motion.learning.past_frames`), and its motion is smoothed over the neighbouring frames; the gate
+decides by each frame alone, as a session's does. In both, the first measured frame is the reference. Frames are
 streamed. Training is inline, so a recording gives the same numbers on every run on one processor. The gate's time is
 the device's.
 """
@@ -21,6 +22,7 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, ModelErro
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.motion_model import ModelOrigin, MotionModel
 from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left
+from engine.gating.gate import Gate
 from engine.gating.limits import GateLimits
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.model_file import save_model
@@ -33,6 +35,7 @@ from engine.offline.mesh_files import MeshOptions, MeshSaver
 from engine.offline.offline_gate import OfflineGate
 from engine.offline.result_files import BreathTable, MotionTable, OfflineSummary, Results
 from engine.offline.segments import SegmentSummary
+from engine.offline.smoothing import MotionSmoother
 
 READ_TIMEOUT_S = 5.0
 
@@ -184,7 +187,8 @@ def _second_pass(
         return pipeline
 
     pipeline = prepared(_first_reference(run.source, prepared(None)))
-    return replace(_run_pass(run, pipeline, lambda: True, live_from), live_from=live_from), pipeline.learner
+    found = _run_pass(run, pipeline, lambda: True, live_from, is_smoothing=True)
+    return replace(found, live_from=live_from), pipeline.learner
 
 
 def _first_reference(source: DepthSource, pipeline: Pipeline) -> Reference | None:
@@ -198,13 +202,24 @@ def _first_reference(source: DepthSource, pipeline: Pipeline) -> Reference | Non
     return None if reference is None else first.smoothed(reference)
 
 
-def _run_pass(run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_from: int | None) -> _Pass:
+def _run_pass(
+    run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_from: int | None, *, is_smoothing: bool = False
+) -> _Pass:
     """Measure all frames; ``live_from`` is the first one that the gate may judge, None if there is none."""
     results, saver, gate = Results(run.settings), MeshSaver(run.out, run.meshes), OfflineGate(run.limits)
     first_measured = None
     with _tables(run.out, run.settings, is_kept) as (table, breaths):
 
-        def write(frame: RgbdFrame, measurement: Measurement) -> None:
+        def write(measurement: Measurement, decided: Gate) -> None:
+            table.write(measurement, decided)
+            breaths.write(measurement)
+            results.add(measurement)
+            saver.save(measurement)
+            run.on_frame(measurement)
+
+        smoother = MotionSmoother(write, is_smoothing=is_smoothing)
+
+        def decide(frame: RgbdFrame, measurement: Measurement) -> None:
             nonlocal first_measured
             learner, index = pipeline.learner, measurement.frame_index
             if live_from is None or index < live_from:
@@ -212,15 +227,12 @@ def _run_pass(run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_f
             else:
                 decided = gate.decide(frame, measurement, learner.status, learner.take_notices())
             learner.keep_model(is_kept=gate.is_armed)
-            table.write(measurement, decided)
-            breaths.write(measurement)
-            results.add(measurement)
-            saver.save(measurement)
             if first_measured is None and measurement.state is MeasurementState.MEASURING:
                 first_measured = index
-            run.on_frame(measurement)
+            smoother.add(measurement, decided)
 
-        damage = _measure_frames(run.source, pipeline, write)
+        damage = _measure_frames(run.source, pipeline, decide)
+        smoother.finish()
     return _Pass(
         results=results,
         meshes=tuple(saver.saved),

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.frames import FloatArray
+from engine.core.frames import ColorImage, DepthImage, FloatArray
 from engine.lab.phantom.anatomy import TRUNK_HALF_MM, Anatomy
 from engine.lab.phantom.body import Map
 from engine.lab.phantom.scenarios import Pose
@@ -217,6 +217,37 @@ class Stale:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFault:
+    """What a camera or its driver does to its own pictures.
+
+    Attributes
+    ----------
+    scale
+        Factor of all depths, at once.
+    warms_mm, warms_s
+        How far all depths drift, and within which time: a sensor that warms up.
+    is_mirrored
+        Whether both pictures are mirrored: a setting of the driver.
+    """
+
+    scale: float = 1.0
+    warms_mm: float = 0.0
+    warms_s: float = 60.0
+    is_mirrored: bool = False
+
+    def depth(self, depth_mm: DepthImage, elapsed_s: float) -> DepthImage:
+        """Return the depth picture as it is delivered, shape (H, W); no reading stays none."""
+        drift_mm = self.warms_mm * float(np.clip(elapsed_s / self.warms_s, 0.0, 1.0))
+        changed = np.rint(depth_mm * self.scale + drift_mm).astype(depth_mm.dtype)
+        changed[depth_mm == 0] = 0
+        return np.ascontiguousarray(changed[:, ::-1] if self.is_mirrored else changed)
+
+    def color(self, picture: ColorImage) -> ColorImage:
+        """Return the colour picture as it is delivered, shape (H, W, 3)."""
+        return np.ascontiguousarray(picture[:, ::-1]) if self.is_mirrored else picture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Falsification:
     """What is not honest about a recording from ``start_s`` on; several parts may come together.
 
@@ -237,6 +268,7 @@ class Falsification:
     slide_mm: float = 0.0
     scene_seen_s: float | None = None
     floor_stays: bool = False
+    fault: CameraFault | None = None
 
     def elapsed_s(self, time_s: float) -> float | None:
         """Time since it began; None before."""

@@ -90,7 +90,9 @@ class Studio:
         blind = self._blind(stage.view, time_s)
         if blind is not None:
             blocked = blind if blocked is None else blocked | blind
-        return self._sensor.read(depth, stage.holes, frame=frame, time_s=time_s, blocked=blocked)
+        read = self._sensor.read(depth, stage.holes, frame=frame, time_s=time_s, blocked=blocked)
+        fault, elapsed_s = self._camera_fault(time_s)
+        return read if fault is None else fault.depth(read, elapsed_s)
 
     def color_frame(self, frame: int, time_s: float) -> ColorImage:
         """Render one colour frame, RGB, shape (480, 640, 3)."""
@@ -119,7 +121,15 @@ class Studio:
         for thing in self._occluders(time_s):
             drawn = occluders.draw(thing, self.scene.rig.color, self.scene.rig.color_from_couch)
             picture = occluders.cover_color(picture, drawn, thing)
-        return self._color_camera.expose(picture, frame)
+        exposed = self._color_camera.expose(picture, frame)
+        fault, _ = self._camera_fault(time_s)
+        return exposed if fault is None else fault.color(exposed)
+
+    def _camera_fault(self, time_s: float) -> tuple[falsifications.CameraFault | None, float]:
+        """Return what the camera does to its pictures at this time, and since when [s]."""
+        false = self.scene.script.falsification
+        elapsed_s = None if false is None else false.elapsed_s(time_s)
+        return (None, 0.0) if false is None or elapsed_s is None else (false.fault, elapsed_s)
 
     def _poses(self, time_s: float) -> tuple[Pose, Pose]:
         """Poses of the body on the couch, and of the couch before the cameras, which move together."""

@@ -11,6 +11,7 @@ Coordinates are colour pixels, x right and y down, pixel centres at integers.
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -34,6 +35,8 @@ RING_RADII = (1.55, 2.1)
 MAX_BRIGHT_RING = 0.12
 RADIUS_STEP_PX = 0.1
 # For a smaller sticker the ring has no pixels and the disc less than one.
+CORNERS = ("superior right", "superior left", "inferior left", "inferior right")
+"""The markers in their order, by the patient's sides."""
 SMALLEST_PX = 3.2
 # Four stickers four diameters apart, with their rings, need a picture six diameters high.
 LARGEST_SHARE = 1.0 / 6.0
@@ -128,21 +131,28 @@ def _find_blobs(color: ColorImage, search: MarkerSearch) -> list[_Blob]:
 
 
 def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSearch) -> Markers | Lost:
-    """Search each marker near its expected position, shape (4, 2) [px]; the order is kept."""
+    """Search each marker near its expected position, shape (4, 2) [px]; the order is kept.
+
+    A loss names the markers that are not there, by their corner of the region.
+    """
     refused = refuse_size(color, search)
     if refused is not None:
         return refused
-    centers = []
-    for position, blob in enumerate(_refine(color, expected_px, search)):
-        if blob is None:
-            return Lost(
-                reason=LostReason.MARKER_LOST, detail=f"marker {position + 1} of 4 not found near its last position"
-            )
-        centers.append(blob.center_px)
-    found = np.array(centers)
+    blobs = _refine(color, expected_px, search)
+    missing = [corner for corner, blob in zip(CORNERS, blobs, strict=True) if blob is None]
+    if missing:
+        where = "no marker is near its last position" if len(missing) == len(CORNERS) else missing_text(missing)
+        return Lost(reason=LostReason.MARKER_LOST, detail=where)
+    found = np.array([blob.center_px for blob in blobs if blob is not None])
     if not _bounds_a_region(found, search.diameter_px**2):
         return Lost(reason=LostReason.MARKER_LOST, detail="the tracked markers do not form a valid quadrilateral")
     return Markers(centers_px=found)
+
+
+def missing_text(corners: Sequence[str]) -> str:
+    """Name the markers that are not seen."""
+    plural = "s are" if len(corners) > 1 else " is"
+    return f"the {' and the '.join(corners)} marker{plural} hidden or gone"
 
 
 def _bounds_a_region(centers_px: FloatArray, least_px2: float) -> bool:

@@ -92,6 +92,7 @@ class RegionTracker:
         self._max_pair_gap_ms, self._max_layout_change = max_pair_gap_ms, max_layout_change
         self.table = DepthTable(calibration.depth_correction)
         self._markers: Markers | None = None
+        self._last_px: FloatArray | None = None
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
         self._is_depth_modelled = False
@@ -135,17 +136,26 @@ class RegionTracker:
         search = self.search(frame)
         if search is None:
             return coverage_lost(0.0)
-        found: Markers | Lost | None = None
-        if self._markers is not None:
-            found = marker_stage.track_markers(frame.color, self._markers.centers_px, search)
-        if not isinstance(found, Markers):
-            found = marker_stage.find_markers(frame.color, search)
+        found = self._seen(frame, search)
         if isinstance(found, Lost):
             return self._explain_loss(frame, search, found)
         changed = self._layout_lost(found)
         if changed is None:
-            self._markers = found
+            self._markers, self._last_px = found, found.centers_px
         return changed or found
+
+    def _seen(self, frame: RgbdFrame, search: MarkerSearch) -> Markers | Lost:
+        """Search near the last positions, then the whole picture; a loss names the markers that are missing."""
+        tracked: Markers | Lost | None = None
+        if self._markers is not None:
+            tracked = marker_stage.track_markers(frame.color, self._markers.centers_px, search)
+            if isinstance(tracked, Markers):
+                return tracked
+        found = marker_stage.find_markers(frame.color, search)
+        if isinstance(found, Markers) or self._last_px is None:
+            return found
+        missing = tracked or marker_stage.track_markers(frame.color, self._last_px, search)
+        return replace(found, detail=f"{found.detail}: {missing.detail}") if isinstance(missing, Lost) else found
 
     def _layout_lost(self, found: Markers) -> Lost | None:
         """Return the reason if the layout differs from the fixed one, otherwise None."""

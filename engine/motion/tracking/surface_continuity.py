@@ -210,6 +210,10 @@ def _medians_mm(roi: RoiDepth, reach: int) -> FloatArray | None:
     return np.array(depths_mm)
 
 
+LEAST_RESCALED = 0.01
+"""Least change of all distances by one factor that is named as such."""
+
+
 class MarkerLayout:
     """Follows the six distances between the markers; owned by the pipeline's thread."""
 
@@ -247,7 +251,8 @@ class MarkerLayout:
             ]
             if not all(beyond <= MARGIN_MM for beyond in beyond_mm):  # also for NaN
                 self._is_doubted = True
-                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=_described(tuple(beyond_mm)))
+                detail = _rescaled(low_mm, now_mm, high_mm) or _described(tuple(beyond_mm))
+                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=detail)
             self._lowest_mm = tuple(map(min, self._lowest_mm, now_mm))
             self._highest_mm = tuple(map(max, self._highest_mm, now_mm))
         self._last_mm, self._seen_us, self._is_doubted = now_mm, timestamp_us, False
@@ -258,6 +263,18 @@ def distances_mm(points_mm: FloatArray) -> Distances:
     """Return the six distances between four points, shape (4, 3) [mm], in the order of `PAIRS`."""
     places = points_mm.tolist()
     return tuple([math.dist(places[one], places[other]) for one, other in PAIRS])
+
+
+def _rescaled(low_mm: Distances, now_mm: Distances, high_mm: Distances) -> str | None:
+    """Name a change of all distances by one factor: no sticker moves so; None where it is none."""
+    changes = [2.0 * now / (low + high) - 1.0 for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)]
+    middle = sum(changes) / len(changes)
+    if not (abs(middle) >= LEAST_RESCALED and all(abs(one - middle) <= 0.5 * abs(middle) for one in changes)):
+        return None
+    return (
+        f"all distances between the markers changed by {middle:+.1%}: the depth scale of the camera has "
+        "changed: check the camera"
+    )
 
 
 def _described(beyond_mm: Distances) -> str:

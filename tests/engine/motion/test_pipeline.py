@@ -267,3 +267,15 @@ def test_a_patient_who_never_breathes_regularly_still_gets_a_model_that_states_i
 
 def test_a_model_of_enough_cycles_has_no_shortcoming(measuring):
     assert measuring.learner.status.model_shortcoming is None
+
+
+def test_a_loss_names_each_marker_that_is_not_seen():
+    pipeline = new_pipeline()
+    measure(pipeline, range(2))
+    three, two, none = (
+        measure(pipeline, [number], corners_px=small_scene.CORNERS_PX[list(seen)])[0].reason.detail
+        for number, seen in ((2, (0, 1, 3)), (3, (1, 3)), (4, []))
+    )
+    assert three == "3 of 4 markers found: the inferior left marker is hidden or gone"
+    assert two == "2 of 4 markers found: the superior right and the inferior left markers are hidden or gone"
+    assert none == "0 of 4 markers found: no marker is near its last position"

@@ -10,6 +10,7 @@ from engine.core.signals import HeadDirection
 from engine.lab.phantom.falsifications import (
     BLACK_RGB,
     Blind,
+    CameraFault,
     Cover,
     Falsification,
     Move,
@@ -92,6 +93,7 @@ def cases(*, is_slow: bool = False) -> list[Case]:
         *_stale(),
         *_orientations(),
         *_silent_checks(),
+        *_camera_faults(),
     ]
     return [*found, *_slow_moves(), *_slow_halves()] if is_slow else found
 
@@ -271,6 +273,26 @@ def _silent_checks() -> Iterator[Case]:
         yield Case(
             kind="stickers slide with the breath", size=f"{slide_mm:g} mm", falsification=_false(slide_mm=slide_mm)
         )
+
+
+def _camera_faults() -> Iterator[Case]:
+    for percent in (2.0, -2.0):
+        size = f"{percent:+g} %"
+        fault = CameraFault(scale=1.0 + percent / 100.0)
+        yield Case(
+            kind="depth scale changed", size=size, falsification=_false(fault=fault), causes=(*CAMERA, *DISPLACED)
+        )
+    mirrored = CameraFault(is_mirrored=True)
+    yield Case(
+        kind="pictures mirrored",
+        size="-",
+        falsification=_false(fault=mirrored),
+        causes=(*CAMERA, *DISPLACED, *COVERED, *MOVED, LostReason.MARKER_LOST),
+    )
+    for warms_mm, warms_s in ((4.0, 8.0), (12.0, 8.0)):
+        fault = CameraFault(warms_mm=warms_mm, warms_s=warms_s)
+        size = f"{warms_mm:g} mm in {warms_s:g} s"
+        yield Case(kind="sensor warms up", size=size, falsification=_false(fault=fault), causes=CAMERA)
 
 
 def _slow_halves() -> Iterator[Case]:

@@ -84,7 +84,10 @@ def test_tracking_finds_the_same_centres_as_searching():
 def test_a_hidden_marker_is_lost_not_replaced_by_something_else(hidden):
     corners = np.delete(CORNERS, hidden, axis=0)
     picture = scene(corners)
-    assert isinstance(track_markers(picture, CORNERS, SEARCH), Lost)
+    tracked = track_markers(picture, CORNERS, SEARCH)
+    assert isinstance(tracked, Lost)
+    names = ("superior right", "superior left", "inferior left", "inferior right")
+    assert tracked.detail == f"the {names[hidden]} marker is hidden or gone"
     found = find_markers(picture, SEARCH)
     assert isinstance(found, Lost)
     assert found.reason is LostReason.MARKER_LOST

@@ -183,3 +183,12 @@ def test_a_loss_names_the_marker_its_largest_distance_and_what_to_do():
         "a distance of the superior left marker is 20 mm beyond its range: put the marker back, or set the reference "
         "again"
     )
+
+
+@pytest.mark.parametrize("scale", [1.02, 0.98])
+def test_a_change_of_all_distances_by_one_factor_is_named_as_the_camera_s_scale(followed, scale):
+    layout, frame = followed
+    lost = layout.lost(scale * breathing(frame), at(frame))
+    assert lost.reason is LostReason.LAYOUT_CHANGED
+    assert f"all distances between the markers changed by {scale - 1.0:+.1%}" in lost.detail
+    assert "check the camera" in lost.detail
