@@ -64,8 +64,11 @@ MISFIT_OF_USUAL = 1.7
 """Allowed misfit of the surface: this many times that of the training, within the two bounds above."""
 MISFIT_OF_DEEPER = 0.15
 """More misfit is allowed in a breath deeper than any of the training: this share of what it is deeper."""
-MISFIT_OF_REDISTRIBUTED = 0.045
-"""And of what is shifted between thorax and abdomen, other than in the training: this share."""
+MISFIT_OF_REDISTRIBUTED = 0.1
+"""And of what is shifted between thorax and abdomen, other than in the training: this share, as one more error beside.
+
+A breath hold shifts millimetres, a thin cover over half of the region one.
+"""
 HEIGHT_OF_DEEPER = 0.6
 """Such a breath also passes for a rigid movement since it began: up to this share of what it is deeper is taken off."""
 OTHER_COLOR_SHARE = 0.06
@@ -298,7 +301,7 @@ class CrossCheck:
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
         self.position = self._position(change, deeper_mm)
         allowed_mm = min(max(MISFIT_OF_USUAL * shapes.misfit_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
-        allowed_mm += MISFIT_OF_REDISTRIBUTED * change.redistributed_mm
+        allowed_mm = math.hypot(allowed_mm, MISFIT_OF_REDISTRIBUTED * change.redistributed_mm)
         if "surface" not in self._disagreements:
             allowed_mm += MISFIT_OF_DEEPER * deeper_mm
         if not change.spread_mm > self._bound("surface", allowed_mm):

@@ -45,6 +45,9 @@ def bench(
     ] = None,
     *,
     is_quick: Annotated[bool, typer.Option("--quick", help="Three datasets instead of fifteen.")] = False,
+    is_accuracy: Annotated[
+        bool, typer.Option("--accuracy", help="Only the recordings of both sensors that are measured whole.")
+    ] = False,
     jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
     seconds: Annotated[float, typer.Option(help="Length of each of the fifteen datasets [s].")] = 32.0,
     seed: Annotated[
@@ -72,9 +75,8 @@ def bench(
         cluster = scheduler_options(scheduler, tls_ca, tls_cert, tls_key)
         if cluster is not None and jobs is not None:
             raise InvalidValueError("jobs", jobs, "left out with --scheduler: its workers are counted there")
-        marks = _bench(
-            out, work or out / "work", is_quick=is_quick, jobs=jobs, seconds=seconds, seed=seed, cluster=cluster
-        )
+        plan_name = _plan_name(is_quick=is_quick, is_accuracy=is_accuracy)
+        marks = _bench(out, work or out / "work", plan_name, jobs=jobs, seconds=seconds, seed=seed, cluster=cluster)
     except KeyboardInterrupt as stopped:
         say("tidegate evaluate: stopped; complete parts are kept, and the same command continues from there", "yellow")
         raise typer.Exit(STOPPED) from stopped
@@ -87,11 +89,17 @@ def bench(
         raise typer.Exit(1)
 
 
+def _plan_name(*, is_quick: bool, is_accuracy: bool) -> str:
+    if is_quick and is_accuracy:
+        raise InvalidValueError("accuracy", "true", "left out with --quick")
+    return "quick" if is_quick else "accuracy" if is_accuracy else "full"
+
+
 def _bench(
     out: Path,
     work: Path,
+    plan_name: str,
     *,
-    is_quick: bool,
     jobs: int | None,
     seconds: float,
     seed: int,
@@ -99,7 +107,7 @@ def _bench(
 ) -> "list[Mark]":
     from engine.lab.evaluation.report.report import write_report
     from engine.lab.evaluation.runs.bench import check_jobs
-    from engine.lab.evaluation.runs.datasets import check_plan, full_plan, quick_plan
+    from engine.lab.evaluation.runs.datasets import accuracy_plan, check_plan, full_plan, quick_plan
 
     workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
     check_jobs(workers)
@@ -107,16 +115,17 @@ def _bench(
     for folder, field in ((out, "out"), (work, "work")):
         if folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
-    plan = (quick_plan if is_quick else full_plan)(seed, seconds)
+    plan = {"quick": quick_plan, "accuracy": accuracy_plan, "full": full_plan}[plan_name](seed, seconds)
     scored = _with_bar(plan, work, workers, cluster)
-    command = "tidegate evaluate --out OUT" + (" --quick" if is_quick else "") + _changed(seconds, seed)
+    chosen = "" if plan_name == "full" else f" --{plan_name}"
+    command = "tidegate evaluate --out OUT" + chosen + _changed(seconds, seed)
     tables, marks = write_report(
         scored,
         out,
         command=command,
         version=engine.__version__,
         seed=seed,
-        settings={"quick": is_quick, "seconds": seconds, "recordings": len(plan)},
+        settings={"plan": plan_name, "seconds": seconds, "recordings": len(plan)},
     )
     print_tables(tables)
     _conclude(marks, out)

@@ -35,9 +35,9 @@ class SmoothedPca:
         self._depth_mm = np.full(shape, np.nan, dtype=np.float32)
 
     def add_frame(self, frame: RgbdFrame) -> None:
-        """Sample a frame's region; a frame without its markers is left out."""
+        """Sample a frame's region; left out are frames without markers, and the first, before the steps are known."""
         found = self._tracker.find(frame)
-        if isinstance(found, Markers):
+        if isinstance(found, Markers) and self._tracker.is_settled:
             _, roi = self._tracker.region(frame, found, STRIDE_PX, has_model=False)
             self._depth_mm[frame.index] = np.where(roi.valid, roi.depth_mm, np.float32(np.nan))
 

@@ -119,6 +119,11 @@ def quick_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
     return [run for run in _table2(seed, seconds, long=()) if run.name in {"D01", "D06", "D10"}]
 
 
+def accuracy_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
+    """Return the runs that are measured whole: each kind of breathing, on both sensors; the longest first."""
+    return [run for run in full_plan(seed, seconds) if run.is_measured_whole]
+
+
 def check_plan(seed: int, seconds: float) -> None:
     """Raise InvalidValueError naming field, value and bound if seed or length [s] is out of bounds."""
     check_whole_number("seed", seed, 0, 2**31)
