@@ -1,10 +1,12 @@
-"""What must be true before a release: one version everywhere, a clean tree, a changelog, the contract kept."""
+"""What must be true before a release: one version, a clean tree, a changelog, a kept contract, figures of this code."""
 
 import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+
+from tests.support.documents.figures import stale
 
 VERSION = re.compile(r"\d+\.\d+\.\d+")
 
@@ -17,6 +19,8 @@ def troubles(root: Path) -> Iterator[str]:
     yield from _other_versions(root, version)
     yield from _changelog(root, version)
     yield from _contract(root, version)
+    if (trouble := stale(root)) is not None:
+        yield trouble
     yield from _git(root, version)
 
 
