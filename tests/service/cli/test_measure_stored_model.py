@@ -52,7 +52,7 @@ def test_a_model_states_what_made_it(learned):
     assert origin.software.startswith("tidegate ")
     assert quality.amplitude_mm > 4.0
     assert quality.shift_mm < 1.0
-    assert model.provenance.settings["components"] == 3.0
+    assert model.provenance.settings["components"] == 6.0
 
 
 def test_a_stored_model_measures_from_the_first_frames_on_and_is_as_true_as_one_learned_here(
