@@ -78,7 +78,8 @@ def _smoothed(kept: deque[_Waiting], at: int) -> Measurement:
     if len(motions) < LEAST_FRAMES:
         return found
     seconds = np.array([one.timestamp_us - found.timestamp_us for one in around]) * 1e-6
-    weights = np.linalg.pinv(np.column_stack([np.ones_like(seconds), seconds, seconds**2]))[0]
+    powers = np.stack([np.ones_like(seconds), seconds, seconds**2])
+    weights = np.linalg.solve(powers @ powers.T, np.array([1.0, 0.0, 0.0])) @ powers  # of the parabola at this frame
     return replace(found, motion=_combined(found.motion, motions, weights))
 
 
@@ -87,15 +88,19 @@ def _belongs(one: Measurement, found: Measurement) -> bool:
 
 
 def _combined(motion: Motion, motions: list[Motion], weights: FloatArray) -> Motion:
+    numbers = weights @ np.array([(one.whole_mm, one.thorax_mm, one.abdomen_mm, one.volume_l) for one in motions])
+    whole_mm, thorax_mm, abdomen_mm, volume_l = numbers.tolist()
+
     def mean(values: list[FloatArray]) -> FloatArray:
-        return frozen(np.tensordot(weights, values, axes=1))
+        stacked = np.array(values)
+        return frozen((weights @ stacked.reshape(len(stacked), -1)).reshape(stacked.shape[1:]))
 
     return replace(
         motion,
-        whole_mm=float(weights @ [one.whole_mm for one in motions]),
-        thorax_mm=float(weights @ [one.thorax_mm for one in motions]),
-        abdomen_mm=float(weights @ [one.abdomen_mm for one in motions]),
-        volume_l=float(weights @ [one.volume_l for one in motions]),
+        whole_mm=whole_mm,
+        thorax_mm=thorax_mm,
+        abdomen_mm=abdomen_mm,
+        volume_l=volume_l,
         regions_mm=mean([one.regions_mm for one in motions]),
         regions_depth_mm=mean([one.regions_depth_mm for one in motions]),
         points_mm=mean([one.points_mm for one in motions]),
