@@ -20,6 +20,7 @@ MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
 # A component counts if its variance is this many times that of noise: less adds more noise to every frame than motion.
 MIN_OVER_NOISE = 3.0
+# What a body does at most: no breathing was seen with more than four.
 WAYS_TO_MOVE = 6
 MAX_FILLINGS = 8
 FILLED_CHANGE = 0.003

@@ -26,6 +26,7 @@ import numpy as np
 from engine.core.compiled import kernels
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, RoiDepth
 from engine.core.geometry import least_squares
+from engine.motion.stages.markers import CORNERS
 
 # A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
 MAX_STEP_MM = 2.0
@@ -168,7 +169,6 @@ def _planes() -> FloatArray:
 _PLANES = _planes()
 
 
-NAMES = ("superior right", "superior left", "inferior left", "inferior right")
 PAIRS = tuple(itertools.combinations(range(4), 2))
 MARGIN_MM = 3.0
 """How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
@@ -281,6 +281,6 @@ def _described(beyond_mm: Distances) -> str:
     """Name the marker whose distances to the three others changed most in sum, and their largest change."""
     sums = [sum(beyond for beyond, pair in zip(beyond_mm, PAIRS, strict=True) if marker in pair) for marker in range(4)]
     return (
-        f"a distance of the {NAMES[sums.index(max(sums))]} marker is {max(beyond_mm):.0f} mm beyond its range: "
+        f"a distance of the {CORNERS[sums.index(max(sums))]} marker is {max(beyond_mm):.0f} mm beyond its range: "
         "put the marker back, or set the reference again"
     )

@@ -6,7 +6,7 @@ it. A command that may lead to a permit is audited first, and not executed when 
 A named person acknowledges the latched fault and the alarms: one call for both.
 
 The gate's fault is acknowledged by the engine, which may refuse; only then are the alarms. An alarm that begins after
-the request came is not acknowledged with it: nobody has seen it.
+the request came is not acknowledged with it: no person has seen it.
 """
 
 import time

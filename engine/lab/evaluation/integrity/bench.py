@@ -140,8 +140,8 @@ class Verdict:
         Longest time to the first frame that was lost or held, or of a rigid movement to its report; None where one
         volunteer's never was.
     named_s, named
-        Longest time to the first code that names the cause, and the codes; None and empty where one volunteer's was not
-        named, or nothing is to be.
+        Longest time to the first code that names the cause, None where one volunteer's was not named or nothing is to
+        be named; and the codes that did on any volunteer.
     on_s, wrong_on_s
         Time of beam on, of the signal with most of it, in all and with the true motion more than 1 mm outside of the
         window.

@@ -287,7 +287,7 @@ def _camera_faults() -> Iterator[Case]:
         kind="pictures mirrored",
         size="-",
         falsification=_false(fault=mirrored),
-        causes=(*CAMERA, *DISPLACED, *COVERED, *MOVED, LostReason.MARKER_LOST),
+        causes=COVERED,
     )
     for warms_mm, warms_s in ((4.0, 8.0), (12.0, 8.0)):
         fault = CameraFault(warms_mm=warms_mm, warms_s=warms_s)

@@ -431,3 +431,21 @@ def test_a_restart_forgets_the_reference(session):
     session.check.restart()
     assert session.check.position is None
     assert session.run(20) == [None] * 20
+
+
+@pytest.mark.parametrize(
+    ("redistributed_mm", "is_lost"),
+    [(0.0, True), (1.0, True), (2.5, False)],
+    ids=["breath", "thin cover", "held breath"],
+)
+def test_what_a_held_breath_shifts_to_the_thorax_is_allowed_beside_the_misfit_and_a_thin_cover_is_not(
+    redistributed_mm, is_lost
+):
+    """A breath hold on a sensor with pixel locking left 0.32 mm beside 2.4 mm that were shifted."""
+    check = CrossCheck(calibration())
+    shapes = np.zeros((2, cell_surface.CELLS))
+    check.shapes = cell_surface.BreathingShapes(shapes=shapes, misfit_mm=0.154, reach_mm=7.5)
+    check._position = lambda *_: None  # where the patient lies is not asked here
+    misfit_mm = np.full(cell_surface.CELLS, 0.32)
+    change = cell_surface.SurfaceChange(0.0, 0.0, 0.0, 5.9, redistributed_mm, misfit_mm, 0.32)
+    assert (check._surface_changed(change) is not None) is is_lost

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, LostReason, RoiDepth
+from engine.motion.stages.markers import CORNERS
 from engine.motion.tracking.surface_continuity import (
     MARGIN_MM,
     MAX_HIDDEN_US,
-    NAMES,
     MarkerLayout,
     distances_mm,
     marker_points_mm,
@@ -55,7 +55,7 @@ def test_a_marker_that_is_back_elsewhere_is_named_and_stays_lost(followed, marke
         lost = layout.lost(moved(breathing(later), marker, by_mm), at(later))
         assert lost is not None
         assert lost.reason is LostReason.LAYOUT_CHANGED
-        assert NAMES[marker] in lost.detail
+        assert CORNERS[marker] in lost.detail
     assert layout.lost(breathing(frame + 90), at(frame + 90)) is None, "it was put back"
 
 
