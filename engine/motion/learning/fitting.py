@@ -18,7 +18,8 @@ from engine.motion.learning.shape_smoothing import fill_unknown, smooth_shapes
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
-# A component counts if its variance is this many times that of noise: less adds more noise to every frame than motion.
+ARTICLE_COMPONENTS = 3
+# A further component counts if its variance is this many times that of noise: others add more noise than motion.
 MIN_OVER_NOISE = 3.0
 # What a body does at most: no breathing was seen with more than four.
 WAYS_TO_MOVE = 6
@@ -49,7 +50,7 @@ def fit(
         Frames on the grid, shape (n, 350, 200) or thinned by a stride, float32 [mm] and bool. Holes are filled from the
         components, iteratively.
     components
-        Largest number of components; those that noise explains are left out.
+        Largest number of components; those behind the third that noise explains are left out.
     cycles, seconds
         Breathing cycles in the set, and its length [s]; stored with the model.
 
@@ -117,12 +118,12 @@ def _principal_components(
 
 
 def _above_noise(eigenvalues: FloatArray, most: int) -> int:
-    """Count the components that are motion: regular breathing has two, an isovolume manoeuvre four.
+    """Count the components to keep: the article's three, and what is motion beyond them, as in an isovolume manoeuvre.
 
     What lies behind all of a body's ways to move, and behind what may be kept, is noise.
     """
     noise = eigenvalues[min(max(most, WAYS_TO_MOVE), len(eigenvalues) - 1)]
-    return max(int(np.count_nonzero(eigenvalues[:most] > MIN_OVER_NOISE * noise)), 1)
+    return max(int(np.count_nonzero(eigenvalues[:most] > MIN_OVER_NOISE * noise)), min(ARTICLE_COMPONENTS, most))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
