@@ -988,6 +988,7 @@ class ReferenceRequest(TypedDict):
 
     at: NotRequired[Literal["end_exhale", "end_inhale", "now"]]
     level_seen: NotRequired[float | None]
+    move_seen_mm: NotRequired[float | None]
     operator: NotRequired[str]
     reason: NotRequired[str]
     setup_confirmed: NotRequired[bool]
@@ -1095,6 +1096,8 @@ class LiveLost(TypedDict):
     """Reason why this frame could not be measured; while `state` is `measuring`, why the gate does not rest on it."""
 
     detail: str
+    moved: NotRequired[Literal["couch", "camera", "camera_or_couch"] | None]
+    moved_mm: NotRequired[float | None]
     reason: str
 
 
@@ -1820,6 +1823,7 @@ class TidegateClient:
         *,
         at: Literal["end_exhale", "end_inhale", "now"] = "end_exhale",
         level_seen: float | None = None,
+        move_seen_mm: float | None = None,
         reason: str = "",
         setup_confirmed: bool = False,
         operator: str | None = None,
@@ -1827,7 +1831,8 @@ class TidegateClient:
     ) -> "SessionDetail":
         """Set the reference to the mean of the last ends of exhale; disarms. Never repeated.
 
-        For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
+        For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown,
+        ``move_seen_mm`` the movement of couch or camera that the reference accepts (``lost.moved_mm`` of a sample), and
         ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale,
         and far from the fraction's first reference. ``setup_confirmed`` says that the person has seen the stickers on
         the skin and the chest uncovered, which a session in clinical mode needs once.
@@ -1837,6 +1842,8 @@ class TidegateClient:
             arguments["setup_confirmed"] = True
         if level_seen is not None:
             arguments["level_seen"] = level_seen
+        if move_seen_mm is not None:
+            arguments["move_seen_mm"] = move_seen_mm
         return self._do(session_id, "reference", SessionDetail, operator, if_match, arguments)
 
     def sign_position(

@@ -75,7 +75,7 @@ class ModelFollower:
         self._resolved_for = None
 
 
-LEVEL_TOLERANCE_MM = 0.5
+LEVEL_TOLERANCE_MM = MOVE_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
 NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
@@ -168,6 +168,7 @@ class CommandHandler:
         most_mm = None
         if self._learner.status.model is not None:
             self._controller.refuse_unseen_patient()  # no measured frame within a second: the learner drops the request
+            self._refuse_other_move(command)
             self._refuse_other_level(command)
             most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)
@@ -176,6 +177,19 @@ class CommandHandler:
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()
+
+    def _refuse_other_move(self, command: SetReference) -> None:
+        """Refuse to accept a movement of couch or camera that is not the one displayed."""
+        moved = self._controller.room_change
+        now_mm, seen_mm = 0.0 if moved is None else moved.by_mm, command.move_seen_mm or 0.0
+        if abs(now_mm - seen_mm) <= MOVE_TOLERANCE_MM:
+            return
+        if moved is None:
+            raise CommandRefusedError("no movement of couch or camera is seen by now: look again")
+        what = f"{moved.mover.text} has moved by {moved.by_mm:.1f} mm since the reference"
+        if command.move_seen_mm is None:
+            raise CommandRefusedError(f"{what}: confirm it with move_seen_mm")
+        raise CommandRefusedError(f"{what}, not {seen_mm:.1f} mm: look again")
 
     def _refuse_other_level(self, command: SetReference) -> None:
         """Refuse a level that was not the one displayed, or that needs a reason and has none."""

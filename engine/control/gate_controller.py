@@ -16,7 +16,7 @@ from engine.core.breath import SignalChoice
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError
-from engine.core.frames import LostReason, Measurement, MeasurementState
+from engine.core.frames import LostReason, Measurement, MeasurementState, RoomChange
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.signals import Ranges, signal_of
 from engine.gating.active_window import SetWindow, window_text
@@ -204,6 +204,13 @@ class GateController:
         lost = None if measurement is None else measurement.lost
         if lost is None or lost.reason not in DOUBTED:
             self.refuse_without_signal()
+
+    @property
+    def room_change(self) -> RoomChange | None:
+        """How couch or camera have moved since the reference, by the newest frame; None where neither has."""
+        measurement = self._records.newest_measurement
+        lost = None if measurement is None else measurement.reason
+        return None if lost is None else lost.moved
 
     def newest_level(self, choice: SignalChoice) -> float | None:
         """Return the signal in the newest frame [mm, l of the volume]; None where it was not measured."""

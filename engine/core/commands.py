@@ -60,6 +60,9 @@ class SetReference:
         The mean position of the last ends of exhale or inhale, or the present one.
     level_seen
         The level that the operator was shown [mm, l of the volume], if any: refused if it is another by now.
+    move_seen_mm
+        The movement of couch or camera since the last reference that the operator was shown. Required while one is
+        seen, which the reference accepts; refused if it is another by now.
     reason
         Required where an amplitude window is used and the level is neither near the end of exhale nor of inhale, and
         beyond the budget from the fraction's first reference.
@@ -70,6 +73,7 @@ class SetReference:
     operator: str
     moment: ReferenceMoment = ReferenceMoment.NOW
     level_seen: float | None = None
+    move_seen_mm: float | None = None
     reason: str = ""
     may_exceed: bool = False
 

@@ -101,12 +101,36 @@ class LostReason(enum.StrEnum):
     FRAME_FROZEN = "frame_frozen"
 
 
+class Mover(enum.StrEnum):
+    """What moved, of couch and camera; `EITHER` where couch and floor are not both seen."""
+
+    COUCH = "couch"
+    CAMERA = "camera"
+    EITHER = "camera_or_couch"
+
+    @property
+    def text(self) -> str:
+        """The words for a person."""
+        return "camera or couch" if self is Mover.EITHER else f"the {self.value}"
+
+
+class RoomChange(NamedTuple):
+    """A movement of couch or camera since the reference; ``by_mm`` is the largest change of depth at a marker."""
+
+    mover: Mover
+    by_mm: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lost:
-    """A measurement that could not be made, and why; ``detail`` is for a person."""
+    """A measurement that could not be made, and why; ``detail`` is for a person.
+
+    ``moved`` is set where couch or camera have moved.
+    """
 
     reason: LostReason
     detail: str
+    moved: RoomChange | None = field(default=None, metadata=NO_DIGEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -25,8 +25,10 @@ from engine.core.frames import (
     Lost,
     LostReason,
     Markers,
+    Mover,
     RgbdFrame,
     RoiDepth,
+    RoomChange,
     frozen,
 )
 from engine.core.geometry import RigidTransform
@@ -76,6 +78,8 @@ LEAST_COLORED = 0.5
 """Share of the region that needs a colour, now and at the reference: in the dark an object has none."""
 CAMERA_MM = 1.5
 """Allowed change of the scene's depth at a marker, as the camera's movement changes it."""
+MOVERS = {False: Mover.COUCH, True: Mover.CAMERA, None: Mover.EITHER}
+"""What has moved, by whether the floor has; None where couch and floor are not both seen."""
 MARKER_PERCENTILE = 90.0
 RETURNED = 0.8
 """A disagreement ends at this share of its limit."""
@@ -260,14 +264,15 @@ class CrossCheck:
             return self._disagreements.get("camera")
         if moved_mm <= self._bound("camera", CAMERA_MM):
             return None
+        mover = MOVERS[self._scene.has_floor_moved]
         where = f"{moved_mm:.1f} mm from where"
-        if self._scene.has_floor_moved is False:
+        if mover is Mover.COUCH:
             detail = f"the couch is {where} it was at the reference, the floor has not moved: the couch has moved"
         else:
-            what = "camera or couch has moved" if self._scene.has_floor_moved is None else "the camera has moved"
+            what = "camera or couch has moved" if mover is Mover.EITHER else "the camera has moved"
             detail = f"couch and floor are {where} they were at the reference: {what}"
         detail = f"{detail}, set the reference again"
-        return Lost(reason=LostReason.CAMERA_MOVED, detail=detail)
+        return Lost(reason=LostReason.CAMERA_MOVED, detail=detail, moved=RoomChange(mover, moved_mm))
 
     def _brightness(self) -> Brightness:
         """Return the brightness of the newest frame's picture."""

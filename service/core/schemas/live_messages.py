@@ -12,6 +12,7 @@ CalibrationKind = Literal["uploaded", "device registration"]
 SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
 SessionStatusName = Literal["running", "ended", "stopped", "failed"]
 StateName = Literal["training", "measuring", "lost"]
+MoverName = Literal["couch", "camera", "camera_or_couch"]
 GateName = Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 Cell = Annotated[list[int], Field(min_length=2, max_length=2)]
@@ -137,6 +138,10 @@ class LiveLost(Message):
 
     reason: str
     detail: str
+    moved: MoverName | None = Field(
+        default=None, description="What has moved since the reference: a new reference has to confirm it"
+    )
+    moved_mm: float | None = Field(default=None, description="By how much: largest change of depth at a marker")
 
 
 class LiveTraining(Message):

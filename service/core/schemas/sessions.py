@@ -238,6 +238,14 @@ class ReferenceRequest(OperatorRequest):
         description="The level that was shown, in the gated signal's unit: refused if it is another by now by more than"
         " 0.5 mm (0.05 l)",
     )
+    move_seen_mm: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=MAX_MOTION_MM,
+        description="The movement of couch or camera since the last reference that was shown (`lost.moved_mm` of the"
+        " stream), which this reference accepts: required while there is one, refused if it is another by now by more"
+        " than 0.5 mm",
+    )
     reason: str = Field(
         default="",
         max_length=200,

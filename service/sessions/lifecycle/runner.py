@@ -202,6 +202,7 @@ class SessionRunner:
             operator=operator,
             moment=ReferenceMoment(request.at),
             level_seen=request.level_seen,
+            move_seen_mm=request.move_seen_mm,
             reason=request.reason,
             may_exceed=may_exceed,
         )

@@ -238,7 +238,10 @@ def _session_status(status: LoopStatus, *, is_stopping: bool) -> str:
 
 def _lost(measurement: Measurement) -> LiveLost | None:
     lost = measurement.reason
-    return None if lost is None else LiveLost(reason=lost.reason.value, detail=lost.detail)
+    if lost is None:
+        return None
+    moved, moved_mm = (None, None) if lost.moved is None else (lost.moved.mover.value, round(lost.moved.by_mm, DIGITS))
+    return LiveLost(reason=lost.reason.value, detail=lost.detail, moved=moved, moved_mm=moved_mm)
 
 
 def _training(measurement: Measurement) -> LiveTraining | None:

@@ -6,13 +6,17 @@ import pytest
 
 from engine.core.commands import Arm, SetReference
 from engine.core.errors import CommandRefusedError
-from engine.core.frames import Lost, LostReason, MeasurementState
+from engine.core.frames import Lost, LostReason, MeasurementState, Mover, RoomChange
 from engine.core.gate_state import GateState, HoldReason
 from tests.support.control.armed_bench import ON, on_bench
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import FRAMES_A_DWELL, measured
 
-DOUBT = Lost(reason=LostReason.CAMERA_MOVED, detail="couch and floor are 2.0 mm from where they were")
+DOUBT = Lost(
+    reason=LostReason.CAMERA_MOVED,
+    detail="couch and floor are 2.0 mm from where they were",
+    moved=RoomChange(Mover.COUCH, 2.0),
+)
 
 
 def doubted(frame):
@@ -62,10 +66,35 @@ def test_arming_is_refused_with_what_has_moved():
     assert bench.loop.gate.state is GateState.DISARMED
 
 
-def test_a_person_may_set_the_reference_which_accepts_the_movement():
-    error, bench = asked(SetReference(operator="ann", reason="the couch was moved"))
+@pytest.mark.parametrize("seen_mm", [1.5, 2.0, 2.5])
+def test_a_person_who_was_shown_the_movement_accepts_it_with_the_reference(seen_mm):
+    error, bench = asked(SetReference(operator="ann", reason="the couch was moved", move_seen_mm=seen_mm))
     assert error is None
     assert len(bench.pipeline.moments) == 1
+
+
+@pytest.mark.parametrize(
+    ("seen_mm", "text"),
+    [
+        (None, "the couch has moved by 2.0 mm since the reference: confirm it with move_seen_mm"),
+        (1.4, "the couch has moved by 2.0 mm since the reference, not 1.4 mm: look again"),
+        (2.6, "the couch has moved by 2.0 mm since the reference, not 2.6 mm: look again"),
+    ],
+)
+def test_a_reference_does_not_accept_a_movement_that_its_person_was_not_shown(seen_mm, text):
+    error, bench = asked(SetReference(operator="ann", reason="the couch was moved", move_seen_mm=seen_mm))
+    assert isinstance(error, CommandRefusedError)
+    assert str(error) == text
+    assert bench.pipeline.moments == []
+
+
+def test_a_movement_that_is_over_cannot_be_accepted():
+    bench = Bench([])
+    command = SetReference(operator="ann", reason="the couch was moved", move_seen_mm=2.0)
+    bench.source.script = [good] * 3 + [after(bench.ask(command)), good, good]
+    bench.run()
+    assert "no movement of couch or camera is seen by now" in str(bench.answers[-1].exception(timeout=0))
+    assert bench.pipeline.moments == []
 
 
 @pytest.mark.parametrize("reason", LostReason)

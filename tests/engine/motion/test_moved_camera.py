@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from engine.core.frames import LostReason, MeasurementState
+from engine.core.frames import LostReason, MeasurementState, Mover
 from engine.core.reference import ReferenceMoment
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, new_pipeline
@@ -83,6 +83,8 @@ def test_every_frame_is_measured_with_the_movement_in_it_and_named(room):
     assert {one.state for one in found} == {MeasurementState.MEASURING}
     assert {one.doubt.reason for one in found} == {LostReason.CAMERA_MOVED}
     assert re.search(r"the couch is (1\.[89]|2\.[01]) mm from where .*: the couch has moved", found[-1].doubt.detail)
+    assert found[-1].doubt.moved.mover is Mover.COUCH
+    assert found[-1].doubt.moved.by_mm == pytest.approx(2.0, abs=0.15)
     after = [one.motion.whole_mm for one in found]
     assert np.mean(after) == pytest.approx(np.mean(before) - 2.0, abs=0.4)
     assert found[-1].position.height_mm == pytest.approx(-2.0, abs=0.3)
@@ -91,7 +93,9 @@ def test_every_frame_is_measured_with_the_movement_in_it_and_named(room):
 
 def test_a_camera_that_moved_takes_the_floor_along(room):
     room.floor_mm = 2
-    assert "the camera has moved" in lowered(room, 2)[-1].doubt.detail
+    doubt = lowered(room, 2)[-1].doubt
+    assert "the camera has moved" in doubt.detail
+    assert doubt.moved.mover is Mover.CAMERA
 
 
 def test_a_doubt_ends_where_it_was_or_with_a_reference(room):

@@ -9,6 +9,7 @@ import pytest
 from starlette.applications import Starlette
 from starlette.testclient import TestClient
 
+from engine.core.frames import Mover
 from engine.core.gate_state import HoldReason
 from service.core.alarm_table import ALARMS
 from service.web.app import DASHBOARD, LANGUAGE_LIST, language_names, language_route
@@ -21,7 +22,7 @@ CODES = [*HoldReason, *(code for code in ALARMS if code not in set(HoldReason))]
 NAMES = {"Tidegate", "F8", "Esc", "Tab", "Enter", "L", "End", "mm", "s", "OpenNI2 runtime"}
 """Text of the document that is the same in every language: names, keys and units."""
 MADE_OF = {
-    *("action.", "alarm.", "checks.", "hold.", "lamp.", "patient.", "reason.unknown"),
+    *("action.", "alarm.", "checks.", "hold.", "lamp.", "moved.", "patient.", "reason.unknown"),
     *("signal.", "sound.", "status.", "tables.kind.", "to."),
 }
 """Keys that the scripts put together from a code."""
@@ -53,6 +54,12 @@ def test_every_code_states_what_it_is_what_to_do_and_whom_to_call(name: str, cod
 @pytest.mark.parametrize("code", sorted(ALARMS.keys() - set(HoldReason)))
 def test_english_states_of_an_alarm_that_is_no_hold_what_the_controller_states(code: str):
     assert ENGLISH[f"hold.{code}.what"] == ALARMS[code].text
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+@pytest.mark.parametrize("mover", Mover)
+def test_every_mover_has_its_sentence_its_button_and_what_comes_first(name: str, mover: Mover):
+    assert all(f"moved.{mover}.{part}" in LANGUAGES[name] for part in ("what", "confirm", "first"))
 
 
 def test_german_sentences_of_reasons_are_not_the_english_ones():

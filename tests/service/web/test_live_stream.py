@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 from engine import __version__
 from engine.control.outputs import LatencySummary
 from engine.core.breath import Breath
-from engine.core.frames import BodyPosition, Markers, TrainingProgress
+from engine.core.frames import BodyPosition, Lost, LostReason, Markers, Mover, RoomChange, TrainingProgress
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.supervision.checks import Check, CheckState
 from engine.gating.supervision.patient_shift import Movement
@@ -148,8 +148,17 @@ def test_what_could_not_be_measured_is_null(plan):
     SCHEMA.validate(message)
     names = ("signal_mm", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share", "regions_mm")
     assert {name: message[name] for name in names} == dict.fromkeys(names)
-    assert message["lost"] == {"reason": "marker_lost", "detail": "test"}
+    assert message["lost"] == {"reason": "marker_lost", "detail": "test", "moved": None, "moved_mm": None}
     assert message["roi_px"] is None
+
+
+def test_a_couch_that_moved_is_named_with_how_far(plan):
+    view = view_of(plan)
+    doubt = Lost(reason=LostReason.CAMERA_MOVED, detail="test", moved=RoomChange(Mover.COUCH, 2.0))
+    record = replace(view.record, measurement=replace(view.record.measurement, doubt=doubt))
+    message = message_of(replace(view, record=record), plan)
+    SCHEMA.validate(message)
+    assert (message["state"], message["lost"]["moved"], message["lost"]["moved_mm"]) == ("measuring", "couch", 2.0)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])

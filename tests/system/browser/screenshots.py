@@ -62,6 +62,22 @@ PICTURES: dict[str, tuple[str, dict[str, Any]]] = {
             checks=checks(camera="off", color="never"),
         ),
     ),
+    "couch-moved": (
+        "disarmed",
+        sample(
+            gate="disarmed",
+            is_armed=False,
+            hold_reason="disarmed",
+            hold_text="Not armed",
+            lost={
+                "reason": "camera_moved",
+                "detail": "the couch is 2.0 mm from where it was at the reference, the floor has not moved: the couch"
+                " has moved, set the reference again",
+                "moved": "couch",
+                "moved_mm": 2.04,
+            },
+        ),
+    ),
     "breath-hold-settling": (
         "hold",
         sample(

@@ -95,6 +95,33 @@ def test_a_button_sends_its_call_once_and_states_who(
     assert calls_to(fake, path) == [{} if button == "disarm" else {"operator": "Ada L."} | confirmed]
 
 
+@pytest.mark.parametrize(
+    ("mover", "label", "words"),
+    [
+        ("couch", "Couch moved by 2.0 mm: confirm", "the floor has not"),
+        ("camera", "Camera moved by 2.0 mm: confirm", "Only if that was on purpose"),
+        ("camera_or_couch", "Camera or couch moved by 2.0 mm: confirm", "If it was the couch"),
+    ],
+)
+def test_a_moved_couch_is_confirmed_as_the_page_showed_it(
+    fake: FakeService, tab: Tab, mover: str, label: str, words: str
+):
+    moved = {"reason": "camera_moved", "detail": "2.0 mm from where it was", "moved": mover, "moved_mm": 2.04}
+    fake.mode, fake.sample, fake.person = "samples", DISARMED | {"lost": moved}, person("Ada L.")
+    page = tab.open("disarmed")
+    expect(page.locator("#do-reference")).to_have_text(label)
+    expect(page.locator("#gate-do")).to_contain_text(words)
+    expect(page.locator("#steps [aria-current=step]")).to_contain_text(words)
+    expect(page.locator("#do-arm")).to_be_disabled()
+    page.click("#do-reference")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    shown = {"operator": "Ada L.", "at": "end_exhale", "reason": "", "level_seen": -1.25, "move_seen_mm": 2.04}
+    assert calls_to(fake, "reference") == [shown]
+    fake.sample = DISARMED
+    expect(page.locator("#do-reference")).to_have_text("Set reference")
+    expect(page.locator("#gate-do")).to_have_text("Arm when the patient lies ready.")
+
+
 def test_stop_asks_once_more(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")

@@ -119,9 +119,9 @@ const HALTS = new Set(["hold", "disarm", "stop"]);
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
 /** `numbers` are those of the alarms that the person was shown. */
 export const acknowledgeAlarms = (id, operator, numbers) => call("POST", `${session(id)}/acknowledge`, { operator, alarms: numbers });
-/** `proposal` is the one that the person was shown; null for the present position. */
-export const setReference = (id, operator, at, proposal, reason, isSetUp) =>
-  call("POST", `${session(id)}/reference`, { operator, at, reason, ...(isSetUp ? { setup_confirmed: true } : {}), ...(proposal === null ? {} : { level_seen: proposal.level }) });
+/** `shown` is what the person was shown: level and movement of couch or camera, where there are any. */
+export const setReference = (id, operator, at, shown, reason, isSetUp) =>
+  call("POST", `${session(id)}/reference`, { operator, at, reason, ...(isSetUp ? { setup_confirmed: true } : {}), ...shown });
 /** `number` is that of the reference whose position the person was shown. */
 export const signPosition = (id, operator, number, reason) =>
   call("POST", `${session(id)}/position-check`, { operator, reference_number: number, reason });

@@ -25,14 +25,14 @@ def test_without_a_moment_it_is_the_end_of_exhale(client, session_id, running):
 
 
 def test_moment_level_and_reason_reach_the_engine_and_the_audit(client, session_id, running):
-    body = BODY | {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan"}
-    assert client.post(f"{URL}/{session_id}/reference", json=body).status_code == 200
+    shown = {"at": "now", "level_seen": -1.25, "move_seen_mm": 2.04, "reason": "mid-ventilation plan"}
+    assert client.post(f"{URL}/{session_id}/reference", json=BODY | shown).status_code == 200
     (command,) = running.commands
-    assert (command.moment, command.level_seen, command.reason) == (ReferenceMoment.NOW, -1.25, "mid-ventilation plan")
+    assert (command.moment, command.level_seen, command.move_seen_mm) == (ReferenceMoment.NOW, -1.25, 2.04)
+    assert command.reason == "mid-ventilation plan"
     for row in audit_rows(client, "session.reference"):
         assert row["actor"] == "A. Therapist"
-        shown = {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan", "setup_confirmed": False}
-        assert row["detail"] == shown | {"proposed": None}
+        assert row["detail"] == shown | {"setup_confirmed": False, "proposed": None}
 
 
 def test_in_clinical_mode_a_person_confirms_stickers_and_chest_once_a_session(client, session_id, running, monkeypatch):
@@ -52,6 +52,8 @@ def test_in_clinical_mode_a_person_confirms_stickers_and_chest_once_a_session(cl
         ({"at": "exhale"}, "at"),
         ({"level_seen": 1e4}, "level_seen"),
         ({"level_seen": "low"}, "level_seen"),
+        ({"move_seen_mm": -0.1}, "move_seen_mm"),
+        ({"move_seen_mm": 1e4}, "move_seen_mm"),
         ({"reason": "x" * 201}, "reason"),
         ({"because": "x"}, "because"),
     ],

@@ -13,6 +13,7 @@ import { rememberArming } from "../people/presence.js";
 import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
 import { positionObstacle, renderPosition, signObstacle } from "./position.js";
+import { roomMoveOf } from "../stream/gate_state.js";
 import { tr } from "../words/words.js";
 
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
@@ -53,7 +54,7 @@ const DONE = {
 
 /** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
 const OBSTACLES = {
-  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || positionObstacle(c.sample.position_check) || hasHead(c),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || isInPlace(c) || positionObstacle(c.sample.position_check) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : tr("controls.no_operator_holds_the_beam")),
   reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c) || isSetUp(c),
   sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
@@ -77,6 +78,12 @@ const referenceAt = () => document.getElementById("reference-at").value;
 /** The proposed position for the chosen moment of the breath; null for the present position, and before it is known. */
 const proposalOf = (c) => c.selected?.reference_proposals?.find((one) => one.at === referenceAt()) ?? null;
 const isProposed = (c) => (referenceAt() === "now" || proposalOf(c) !== null ? "" : tr("controls.fewer_than_two_breaths_are_known"));
+const isInPlace = (c) => (roomMoveOf(c.sample) === null ? "" : tr(`moved.${roomMoveOf(c.sample).what}.first`));
+/** What the person who sets the reference was shown. */
+const shownOf = (c) => ({
+  ...(proposalOf(c) === null ? {} : { level_seen: proposalOf(c).level }),
+  ...(roomMoveOf(c.sample) === null ? {} : { move_seen_mm: c.sample.lost.moved_mm }),
+});
 /** A lost patient adds no training frames while the reference is kept: training may then be restarted. */
 const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
 /** The head direction of the session that is armed; null if unknown, or if the session was not read yet. */
@@ -171,6 +178,8 @@ export class Controls {
     document.getElementById("setup-confirmed-field").hidden = !isFirst;
     document.getElementById("keep-reference-field").hidden = isFirst;
     setText(document.getElementById("reference-proposal"), proposal);
+    const move = proposal === "" ? null : roomMoveOf(context.sample);
+    setText(button("reference"), move === null ? tr("page.set_reference") : tr(`moved.${move.what}.confirm`, move));
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? tr("controls.no_running_session") : "");
@@ -295,7 +304,7 @@ export class Controls {
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
     else if (action === "reference") {
-      await setReference(id, operator, referenceAt(), proposalOf(this.context), this.reason, this.setupConfirmed.checked);
+      await setReference(id, operator, referenceAt(), shownOf(this.context), this.reason, this.setupConfirmed.checked);
       this.forgetReason();
     } else if (action === "sign") {
       await signPosition(id, operator, this.context.sample.position_check.reference_number, this.reason);

@@ -6,6 +6,7 @@
 import { readModel, readSpectrum } from "../api.js";
 import { byId, part } from "../drawing/elements.js";
 import { describe as describeWindow } from "../stream/gating_window.js";
+import { roomMoveOf } from "../stream/gate_state.js";
 import { needsReference } from "./training.js";
 import { tr } from "../words/words.js";
 
@@ -94,7 +95,7 @@ export function stepsOf({ sample, session, windowLookedAt, model }) {
     cameraStep(sample, session),
     step("markers", sample !== null && sample.state !== "lost", markersText(sample)),
     step("training", sample?.state === "measuring", trainingText(sample, model)),
-    step("reference", sample?.state === "measuring" && session?.has_reference === true && !needsReference(sample, session), referenceText(sample, session), "do-reference"),
+    step("reference", sample?.state === "measuring" && session?.has_reference === true && !needsReference(sample, session) && roomMoveOf(sample) === null, referenceText(sample, session), "do-reference"),
   ];
   const check = sample?.position_check;
   if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", check.text, "do-sign"));
@@ -141,6 +142,8 @@ function trainingText(sample, model) {
 
 function referenceText(sample, session) {
   if (sample?.state !== "measuring") return tr("steps.the_end_of_exhale_of_the_last_breaths_confir");
+  const move = roomMoveOf(sample);
+  if (move !== null) return tr(`moved.${move.what}.what`, move);
   if (session?.has_reference === true && !needsReference(sample, session)) return capitalized(sample.reference?.text ?? "set");
   return tr("steps.read_the_proposed_level_above_the_buttons_th");
 }

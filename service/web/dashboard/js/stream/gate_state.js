@@ -79,7 +79,15 @@ function reasonOf({ gate, hold_reason: code, hold_text: sentence }) {
   return REASONS[gate];
 }
 
-function adviceOf({ gate, hold_reason: code }) {
+/** How couch or camera have moved since the reference, which the next one has to confirm; null where neither has. */
+export function roomMoveOf(sample) {
+  return sample?.lost?.moved ? { what: sample.lost.moved, mm: sample.lost.moved_mm.toFixed(1) } : null;
+}
+
+function adviceOf(message) {
+  const { gate, hold_reason: code } = message;
+  const move = gate === "disarmed" ? roomMoveOf(message) : null;
+  if (move !== null) return { toDo: tr(`moved.${move.what}.what`, move), call: "" };
   if (gate === "beam_on" || (gate === "dwell" && !code)) return { toDo: tr("state.beam_on.do"), call: tr("hold.outside_window.call") };
   return adviceFor(code);
 }
