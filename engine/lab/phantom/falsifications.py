@@ -51,6 +51,10 @@ class Cover:
         That colour.
     laid_s
         How long one that is laid down takes to reach its height: long for cloth that swells, or a belly that fills.
+    follows
+        Share of the skin's motion below it that it makes: a blanket bridges hollows.
+    darkens
+        How much darker the skin or shirt is in the end, 0 to 1: cloth that soaks. Its height may be negative then.
     """
 
     height_mm: float
@@ -60,6 +64,8 @@ class Cover:
     has_color: bool = True
     rgb: tuple[float, float, float] = SHEET_RGB
     laid_s: float = APPEAR_S
+    follows: float = 1.0
+    darkens: float = 0.0
 
     def way_mm(self, anatomy: Anatomy) -> float:
         """Return how far it is drawn until it lies."""
@@ -73,18 +79,47 @@ class Cover:
 
     def on(self, anatomy: Anatomy, elapsed_s: float) -> Map:
         """Return its height over the trunk's box after ``elapsed_s``, shape (593, 473)."""
+        return np.asarray(self.height_mm * self.share(anatomy, elapsed_s), dtype=np.float32)
+
+    def share(self, anatomy: Anatomy, elapsed_s: float) -> Map:
+        """Return the share of its height that it has over the trunk's box after ``elapsed_s``, shape (593, 473)."""
         x_mm, y_mm = _trunk_grid()
         anchors, way_mm = anatomy.anchors_mm, self.way_mm(anatomy)
         # Distance inside the edge where it lies in the end.
         inside_mm = {Part.SIDE: x_mm, Part.HALF: y_mm}.get(self.part, y_mm + TRUNK_HALF_MM[1])
         share = float(np.clip(elapsed_s / self.drawn_s(anatomy), 0.0, 1.0))
         if self.speed_mm_s is None:
-            height = share * self.height_mm * _rise(inside_mm / self.edge_mm)
+            height = share * _rise(inside_mm / self.edge_mm)
         else:
-            height = self.height_mm * _rise((inside_mm - (1.0 - share) * way_mm) / self.edge_mm)
+            height = _rise((inside_mm - (1.0 - share) * way_mm) / self.edge_mm)
         for x, y in anchors:
             height = height * _rise((np.hypot(x_mm - x, y_mm - y) - STICKER_CLEAR_MM) / 4.0)
         return np.asarray(height, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limb:
+    """An arm that comes in from the patient's left and lies across the body, or a person who leans into the view.
+
+    Attributes
+    ----------
+    y_mm
+        Where it lies, inferior to the middle of the chest.
+    reach_mm
+        How far its end is from the midline, to the patient's left; negative is beyond it.
+    over_mm
+        Height of its middle over the highest skin.
+    radius_mm
+        Half of its width.
+    follows
+        Share of the breath, at the middle of the region, that it moves up and down with: 1 for an arm on the belly.
+    """
+
+    y_mm: float
+    reach_mm: float
+    over_mm: float = 50.0
+    radius_mm: float = 42.0
+    follows: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,17 +263,27 @@ class CameraFault:
         How far all depths drift, and within which time: a sensor that warms up.
     is_mirrored
         Whether both pictures are mirrored: a setting of the driver.
+    clips_mm
+        Least depth that is delivered, counted from the camera's distance to the chest: what is nearer reads as this
+        one, as where light or the sensor's range end. None for none.
     """
 
     scale: float = 1.0
     warms_mm: float = 0.0
     warms_s: float = 60.0
     is_mirrored: bool = False
+    clips_mm: float | None = None
 
-    def depth(self, depth_mm: DepthImage, elapsed_s: float) -> DepthImage:
-        """Return the depth picture as it is delivered, shape (H, W); no reading stays none."""
+    def depth(self, depth_mm: DepthImage, elapsed_s: float, chest_mm: float) -> DepthImage:
+        """Return the depth picture as it is delivered, shape (H, W); no reading stays none.
+
+        ``chest_mm`` is the camera's distance to the chest at rest.
+        """
         drift_mm = self.warms_mm * float(np.clip(elapsed_s / self.warms_s, 0.0, 1.0))
-        changed = np.rint(depth_mm * self.scale + drift_mm).astype(depth_mm.dtype)
+        changed = np.rint(depth_mm * self.scale + drift_mm)
+        if self.clips_mm is not None:
+            changed = np.maximum(changed, np.rint(chest_mm + self.clips_mm))
+        changed = changed.astype(depth_mm.dtype)
         changed[depth_mm == 0] = 0
         return np.ascontiguousarray(changed[:, ::-1] if self.is_mirrored else changed)
 
@@ -269,6 +314,7 @@ class Falsification:
     scene_seen_s: float | None = None
     floor_stays: bool = False
     fault: CameraFault | None = None
+    limb: Limb | None = None
 
     def elapsed_s(self, time_s: float) -> float | None:
         """Time since it began; None before."""

@@ -61,6 +61,14 @@ def hand(share: float, chest_mm: float) -> Occluder:
     )
 
 
+def arm(x_mm: float, y_mm: float, height_mm: float, radius_mm: float) -> Occluder:
+    """Return an arm, or a person's side, from the patient's left; its end is at (x, y) of the couch frame."""
+    limb = (((0.0, 0.0), (700.0, 20.0), radius_mm),)
+    return Occluder(
+        x_mm=x_mm, y_mm=y_mm, height_mm=height_mm, rim_mm=0.6 * radius_mm, capsules=limb, rgb=(206.0, 160.0, 134.0)
+    )
+
+
 def cloth(x_mm: float, y_mm: float, skin_mm: float) -> Occluder:
     """Return a cloth on the skin at (x, y) of the couch frame."""
     return Occluder(x_mm=x_mm, y_mm=y_mm, height_mm=skin_mm + 6.0, rim_mm=4.0, capsules=_CLOTH, rgb=(40.0, 74.0, 120.0))

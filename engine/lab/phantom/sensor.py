@@ -20,7 +20,7 @@ They are not sharp: near their edges readings flicker from frame to frame. `Hole
 that a standard normal draw must exceed for a reading: -inf always reads, +inf never.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -145,6 +145,8 @@ class SensorModel:
         The constant error of each pixel.
     locking_shifts
         Root mean square over the pixels of the amplitude of the error that varies with the sub-pixel phase.
+    is_stepped
+        Whether readings are whole shifts; whole millimetres they are in any case.
     """
 
     noise_shifts: float
@@ -152,6 +154,7 @@ class SensorModel:
     pattern_shifts: float
     pattern_blur_px: float
     locking_shifts: float = field(default=0.0)
+    is_stepped: bool = True
 
 
 SENSORS = {
@@ -175,11 +178,32 @@ SENSORS = {
 USUAL = "usual"
 
 
+ERRORS: dict[str, dict[str, float | bool]] = {
+    "noise": {"noise_shifts": 0.0},
+    "pattern": {"pattern_shifts": 0.0},
+    "locking": {"locking_shifts": 0.0},
+    "steps": {"is_stepped": False},
+}
+"""Each error of a sensor that can be left out, and the model without it."""
+
+
 def find_sensor(name: str) -> SensorModel:
-    """Return the sensor model of this name; raise InvalidValueError for any other."""
-    if name not in SENSORS:
+    """Return the sensor model of this name, e.g. ``usual`` or ``locking without noise, steps``.
+
+    Raises
+    ------
+    InvalidValueError
+        There is no model, or no error to leave out, of this name.
+    """
+    base, _, left_out = name.partition(" without ")
+    if base not in SENSORS:
         raise InvalidValueError("sensor", name, "one of " + ", ".join(SENSORS))
-    return SENSORS[name]
+    model = SENSORS[base]
+    for error in left_out.split(", ") if left_out else ():
+        if error not in ERRORS:
+            raise InvalidValueError("sensor", name, f"{base} without some of " + ", ".join(ERRORS))
+        model = replace(model, **ERRORS[error])  # type: ignore[arg-type]
+    return model
 
 
 SHIFTS = 2048
@@ -275,13 +299,20 @@ class Sensor:
             shift += self._locking[0] * np.cos(phase) + self._locking[1] * np.sin(phase)
         shift += self._draw(rng) * np.float32(self._model.noise_shifts)
         self._jump(shift, holes, rng)
-        index = np.clip(np.rint(shift, out=shift), 0, SHIFTS - 1, out=shift).astype(np.uint16)
-        reading = self._table[index]
+        reading = self._readings(shift)
         missing = self._draw(rng) < holes.level
         if blocked is not None:
             missing |= blocked
         reading[missing] = 0
         return reading
+
+    def _readings(self, shift: Map) -> DepthImage:
+        """Depth of each shift [mm]; ``shift`` is overwritten."""
+        if not self._model.is_stepped:
+            depth_mm = np.rint(STEPS_A_MM / np.maximum(_FAR_SHIFT - shift, 1.0))
+            return np.where(depth_mm <= FARTHEST_MM, depth_mm, 0).astype(np.uint16)
+        index = np.clip(np.rint(shift, out=shift), 0, SHIFTS - 1, out=shift).astype(np.uint16)
+        return self._table[index]
 
     def _draw(self, rng: np.random.Generator) -> Map:
         """Return one correlated field of unit variance."""

@@ -28,6 +28,8 @@ AT_REST = Pose()
 BREATHING_MODES = 6
 SHEET_SHOWS_MM = 0.5
 """Height from which a sheet covers the colour of the skin."""
+LIMB_FROM_MM, LIMB_COMES_S = 400.0, 0.5
+"""How far an arm comes, and within which time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,7 +94,7 @@ class Studio:
             blocked = blind if blocked is None else blocked | blind
         read = self._sensor.read(depth, stage.holes, frame=frame, time_s=time_s, blocked=blocked)
         fault, elapsed_s = self._camera_fault(time_s)
-        return read if fault is None else fault.depth(read, elapsed_s)
+        return read if fault is None else fault.depth(read, elapsed_s, self.scene.anatomy.build.camera_mm)
 
     def color_frame(self, frame: int, time_s: float) -> ColorImage:
         """Render one colour frame, RGB, shape (480, 640, 3)."""
@@ -143,7 +145,7 @@ class Studio:
         height = self._body.trunk_height(self.scene.breathing.weights(time_s))
         cover = self._cover(time_s)
         if cover is not None:
-            height += cover
+            height += cover + self._lag(time_s)
         share = self.scene.raised_share(time_s)
         if share:
             height += np.float32(share) * self._rise
@@ -157,18 +159,38 @@ class Studio:
             return None
         return self._cover_after(false.cover, min(elapsed_s, false.cover.drawn_s(self.scene.anatomy)))
 
+    def _lag(self, time_s: float) -> Map | np.float32:
+        """How far a blanket stays behind the skin's motion since it was laid [mm]; 0 for one that lies on it."""
+        false = self.scene.script.falsification
+        if false is None or false.cover is None or false.cover.follows == 1.0:
+            return np.float32(0.0)
+        motion = self._body.trunk_height(self.scene.breathing.weights(time_s)) - self._laid_on
+        elapsed_s = min(time_s - false.start_s, false.cover.drawn_s(self.scene.anatomy))
+        return np.asarray((false.cover.follows - 1.0) * motion * false.cover.share(self.scene.anatomy, elapsed_s))
+
+    @cached_property
+    def _laid_on(self) -> Map:
+        false = self.scene.script.falsification
+        return self._body.trunk_height(self.scene.breathing.weights(0.0 if false is None else false.start_s))
+
     def _make_cover(self, cover: falsifications.Cover, elapsed_s: float) -> Map:
         return cover.on(self.scene.anatomy, elapsed_s)
 
     def _lit_rgb(self, time_s: float) -> npt.NDArray[np.uint8]:
         """Colour of the body under the lamp, with a sheet's where one lies on it."""
         false, cover = self.scene.script.falsification, self._cover(time_s)
-        if false is None or false.cover is None or not false.cover.has_color or cover is None or not cover.any():
+        if false is None or false.cover is None or cover is None or not cover.any():
+            return self._body.lit_rgb
+        if not false.cover.has_color and not false.cover.darkens:
             return self._body.lit_rgb
         lit = self._body.lit_rgb.copy()
         top, left = (round(whole - part) for whole, part in zip(BODY_HALF_MM[::-1], TRUNK_HALF_MM[::-1], strict=True))
         box = lit[top : top + cover.shape[0], left : left + cover.shape[1]]
-        box[cover > SHEET_SHOWS_MM] = false.cover.rgb
+        if false.cover.darkens:
+            share = false.cover.darkens * cover / np.float32(false.cover.height_mm)
+            box[:] = np.rint(box * (1.0 - share[..., None]))
+        else:
+            box[cover > SHEET_SHOWS_MM] = false.cover.rgb
         return lit
 
     def _blind(self, view: View, time_s: float) -> BoolArray | None:
@@ -221,10 +243,23 @@ class Studio:
         if event is not None:
             things.append(self._cloth_over(int(event.detail["marker"]), time_s))
         false = self.scene.script.falsification
+        elapsed_s = None if false is None else false.elapsed_s(time_s)
+        if false is not None and false.limb is not None and elapsed_s is not None:
+            things.append(self._limb(false.limb, elapsed_s, time_s))
         hidden = None if false is None else false.hidden_marker(time_s)
         if hidden is not None:
             things.append(self._cloth_over(hidden, time_s))
         return things
+
+    def _limb(self, limb: falsifications.Limb, elapsed_s: float, time_s: float) -> occluders.Occluder:
+        away_mm = LIMB_FROM_MM * (1.0 - min(elapsed_s / LIMB_COMES_S, 1.0))
+        breath_mm = limb.follows * (self._middle_mm(time_s) - self._middle_mm(0.0))
+        height_mm = self.scene.anatomy.build.chest_mm + limb.over_mm + breath_mm
+        return occluders.arm(limb.reach_mm + away_mm, limb.y_mm, height_mm, limb.radius_mm)
+
+    def _middle_mm(self, time_s: float) -> float:
+        """Height of the skin over the couch in the middle of the stickers [mm]."""
+        return -float(self.scene.skin.anchors(self.scene.breathing.weights(time_s))[:, 2].mean())
 
     def _cloth_over(self, marker: int, time_s: float) -> occluders.Occluder:
         anchor = self._anchors(time_s)[marker]

@@ -3,7 +3,7 @@
 from service.cli.command_group import command_group
 from service.cli.evaluate.bench import bench
 from service.cli.evaluate.breathing import breathing, gate
-from service.cli.evaluate.integrity import ablations, integrity
+from service.cli.evaluate.integrity import ablations, budget, integrity
 from service.cli.evaluate.laser import laser, plane
 from service.cli.evaluate.spirometer import spirometer
 
@@ -12,6 +12,7 @@ evaluate = command_group(
 )
 evaluate.callback(invoke_without_command=True)(bench)
 evaluate.command("ablations")(ablations)
+evaluate.command("budget")(budget)
 evaluate.command("gate")(gate)
 evaluate.command("breathing")(breathing)
 evaluate.command("integrity")(integrity)

@@ -1,6 +1,6 @@
 """``tidegate evaluate integrity``: falsified recordings, and what of them is reported as measured.
 
-``tidegate evaluate ablations``: the effect of each part of the method.
+``tidegate evaluate ablations``: the effect of each part of the method; ``budget``: the share of each cause of error.
 """
 
 import os
@@ -135,3 +135,45 @@ def ablations(
         raise refused("evaluate ablations", f"{out} cannot be written ({error.strerror or error})") from error
     print_tables([shown])
     say(f"Written to {out / 'ablations.csv'}")
+
+
+def budget(
+    out: Annotated[Path, typer.Option(help="Folder for budget.csv.")],
+    work: Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")] = None,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the recordings; the same seed gives the same ones on the same processor.")
+    ] = 2017,
+    sensor: Annotated[str, typer.Option(help="Model of the sensor's errors: usual or locking.")] = "locking",
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Only this scenario: regular, irregular, shift, dibh, isovolume or drift.")
+    ] = None,
+) -> None:
+    """Measure a recording with one cause of error at a time replaced by the truth and print what is left."""
+    from engine.lab.evaluation.runs.budget import ROWS, runs, split, table
+    from engine.lab.evaluation.runs.datasets import SECONDS, check_plan
+    from engine.lab.phantom.sensor import SENSORS
+
+    try:
+        check_plan(seed, SECONDS)
+        if sensor not in SENSORS:
+            raise InvalidValueError("sensor", sensor, "one of " + ", ".join(SENSORS))
+        planned = runs(seed, sensor, tuple(scenario or ()))
+        if not planned:
+            raise InvalidValueError(
+                "scenario", ", ".join(scenario or ()), "regular, irregular, shift, dibh, isovolume or drift"
+            )
+        found = []
+        with frame_bar() as bar:
+            for run in planned:
+                task = bar.add_task(f"{run.name}, {run.scenario}", total=len(ROWS))
+                folder = (work or out / "work") / f"{run.name}-budget"
+                found.append(split(run, folder, partial(_count, bar, task)))
+        shown = table(found)
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(out / "budget.csv", shown.to_csv().encode())
+    except TidegateError as error:
+        raise refused("evaluate budget", error) from error
+    except OSError as error:
+        raise refused("evaluate budget", f"{out} cannot be written ({error.strerror or error})") from error
+    print_tables([shown], WIDTH)
+    say(f"Written to {out / 'budget.csv'}")

@@ -13,6 +13,7 @@ from engine.lab.phantom.falsifications import (
     CameraFault,
     Cover,
     Falsification,
+    Limb,
     Move,
     MovedMarker,
     Part,
@@ -94,8 +95,10 @@ def cases(*, is_slow: bool = False) -> list[Case]:
         *_orientations(),
         *_silent_checks(),
         *_camera_faults(),
+        *_limbs(),
+        *_blankets(),
     ]
-    return [*found, *_slow_moves(), *_slow_halves()] if is_slow else found
+    return [*found, *_slow_moves(), *_slow_halves(), *_slow_covers()] if is_slow else found
 
 
 def falsification_of(kind: str, size: str | None, *, start_s: float) -> Falsification:
@@ -214,7 +217,11 @@ def _moves() -> Iterator[Case]:
     for up_mm in (2.0, 5.0):
         couch = _false(camera=Move(up_mm=-up_mm), floor_stays=True)
         yield Case(kind="couch lowered", size=f"{up_mm:g} mm", falsification=couch, is_rigid=True, causes=CAMERA)
+    yield _move("camera raised", "4 mm", Move(up_mm=-4.0), is_camera=True)
     yield _move("camera tilted", "1 deg", Move(tilt_deg=1.0), is_camera=True)
+    yield replace(_move("camera turned", "1 deg", Move(turn_deg=1.0), is_camera=True), causes=(*CAMERA, *MOVED))
+    tilted = _false(camera=Move(roll_deg=1.0), floor_stays=True)
+    yield Case(kind="couch rolled", size="1 deg", falsification=tilted, is_rigid=True, causes=(*CAMERA, *MOVED))
     # In the picture this is a patient who was shifted: couch and floor are flat.
     yield replace(_move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True), causes=(*CAMERA, *MOVED))
 
@@ -289,10 +296,61 @@ def _camera_faults() -> Iterator[Case]:
         falsification=_false(fault=mirrored),
         causes=COVERED,
     )
+    for above_mm in (0.0, -6.0):
+        fault = CameraFault(clips_mm=above_mm)
+        yield Case(
+            kind="depth saturated",
+            size="at the chest" if above_mm == 0.0 else f"{-above_mm:g} mm over the chest",
+            falsification=_false(fault=fault),
+            causes=UNSEEN,
+        )
     for warms_mm, warms_s in ((4.0, 8.0), (12.0, 8.0)):
         fault = CameraFault(warms_mm=warms_mm, warms_s=warms_s)
         size = f"{warms_mm:g} mm in {warms_s:g} s"
         yield Case(kind="sensor warms up", size=size, falsification=_false(fault=fault), causes=CAMERA)
+
+
+def _limbs() -> Iterator[Case]:
+    """Yield arms across the region and beside it, and a person who leans into the view."""
+    arms = (
+        ("another person's arm across the belly", Limb(y_mm=70.0, reach_mm=-60.0)),
+        ("the patient's own arm on the belly", Limb(y_mm=70.0, reach_mm=-20.0, over_mm=25.0, follows=1.0)),
+        ("a hand on the region's edge", Limb(y_mm=20.0, reach_mm=75.0, over_mm=15.0, radius_mm=22.0, follows=1.0)),
+    )
+    for kind, limb in arms:
+        causes = (*COVERED, LostReason.MARKER_LOST, *UNSEEN)
+        yield Case(kind=kind, size="-", falsification=_false(limb=limb), causes=causes)
+    beside = Limb(y_mm=0.0, reach_mm=300.0, over_mm=150.0, radius_mm=130.0)
+    yield Case(kind="a person leans over the couch", size="beside the region", falsification=_false(limb=beside))
+
+
+def _blankets() -> Iterator[Case]:
+    for part in (Part.HALF, Part.WHOLE):
+        for has_color in (True, False):
+            cover = Cover(height_mm=6.0, part=part, follows=0.7, has_color=has_color)
+            what = "blanket" if has_color else "blanket of the skin's colour"
+            kind = f"{what} that follows 70 % laid over {part}"
+            yield Case(kind=kind, size="6 mm", falsification=_false(cover=cover), causes=COVERED)
+
+
+def _slow_covers() -> Iterator[Case]:
+    for speed_mm_s in (10.0, 30.0):
+        cover = Cover(height_mm=5.0, part=Part.HALF, edge_mm=60.0, speed_mm_s=speed_mm_s, has_color=False)
+        yield Case(
+            kind="drape of the skin's colour with a soft edge drawn over half",
+            size=f"5 mm, {speed_mm_s:g} mm/s",
+            falsification=_false(cover=cover),
+            seconds=30.0,
+            causes=COVERED,
+        )
+    soaked = Cover(height_mm=-3.0, edge_mm=40.0, has_color=False, laid_s=20.0, darkens=0.5)
+    yield Case(
+        kind="cloth that soaks, darkens and sinks",
+        size="3 mm in 20 s",
+        falsification=_false(cover=soaked),
+        seconds=28.0,
+        causes=COVERED,
+    )
 
 
 def _slow_halves() -> Iterator[Case]:

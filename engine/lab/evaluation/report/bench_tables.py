@@ -27,6 +27,7 @@ KINDS = {
     "table2": "regular",
     "irregular": "irregular",
     "shift": "shift",
+    "couch": "shift, couch 2 mm lower",
     "dibh": "breath hold",
     "isovolume": "isovolume",
     "drift": "drift",

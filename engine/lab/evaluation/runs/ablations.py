@@ -96,7 +96,6 @@ VARIANTS = (
         name="reference from a single frame",
         patches={("engine.motion.learning.reference_transfer", "MIN_FRAMES"): 1000},
     ),
-    Variant(name="no outlier rejection", patches={(_PROJECTION, "OUTLIER_MM"): 1e4}),
     Variant(name="one component", components=1),
     Variant(name="three components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}, components=3),
     Variant(name="six components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}),

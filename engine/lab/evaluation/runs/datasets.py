@@ -16,6 +16,7 @@ import engine
 from engine.core.bounds import check_number, check_whole_number
 from engine.core.files import write_whole
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure
+from engine.lab.phantom.falsifications import Falsification, Move
 from engine.lab.phantom.recording import make_volunteer
 from engine.lab.phantom.sensor import USUAL
 
@@ -33,8 +34,11 @@ LONG = ("D01", "D10")
 
 LOCKING = "locking"
 WHOLE = ("regular", "irregular", "shift", "dibh", "isovolume", "drift")
-USUAL_WHOLE = ("D04", "D10", "I03", "S01", "H01", "V01", "V02", "G01")
+USUAL_WHOLE = ("D04", "D10", "I03", "S01", "S03", "H01", "V01", "V02", "G01")
 """The recordings of the usual sensor that stand beside those of the second one."""
+
+COUCH_DOWN_MM, COUCH_S = 2.0, 22.0
+"""How far, and when, the couch goes down under a patient who shifts at the same time."""
 
 SWEEP_VOLUNTEER = 1
 SWEEP_SECONDS = 24.0
@@ -53,6 +57,8 @@ class Run:
         Also measured with one component (Figures 16 and 17).
     has_instruments
         Whether a laser line is in view.
+    is_lowered
+        Whether the couch goes down by `COUCH_DOWN_MM`, at `COUCH_S`.
     is_pictured
         Also measured with the bilateral filter alone; its pictures are stored (Figures 8 and 14).
     """
@@ -70,6 +76,22 @@ class Run:
     is_long: bool = False
     is_pictured: bool = False
     has_instruments: bool = True
+    is_lowered: bool = False
+
+    @property
+    def falsification(self) -> Falsification | None:
+        """The couch's movement; the floor stays."""
+        if not self.is_lowered:
+            return None
+        return Falsification(start_s=COUCH_S, camera=Move(up_mm=-COUCH_DOWN_MM), floor_stays=True)
+
+    def lowered_mm(self, time_s: float) -> float:
+        """How far the couch is below where it was at this time [mm]: the patient's surface is as much farther away."""
+        false = self.falsification
+        elapsed_s = None if false is None else false.elapsed_s(time_s)
+        if false is None or false.camera is None or elapsed_s is None:
+            return 0.0
+        return false.camera.pose(elapsed_s).z_mm
 
     @property
     def is_sweep(self) -> bool:
@@ -104,13 +126,32 @@ class Run:
             "departure": asdict(self.departure),
             "has_laser": self.has_laser,
             "sensor": self.sensor,
+            "is_lowered": self.is_lowered,
             "phantom": fingerprint("lab/phantom/*.py"),
         }
 
 
+def _lowered(seed: int) -> list[Run]:
+    """Return a patient who shifts while the couch goes down, on each sensor."""
+    return [
+        Run(
+            name=name,
+            group="couch",
+            scenario="shift",
+            volunteer=volunteer,
+            seed=seed + 400 + volunteer,
+            seconds=34.0,
+            sensor=sensor,
+            has_instruments=False,
+            is_lowered=True,
+        )
+        for name, volunteer, sensor in (("S03", 4, USUAL), ("L09", 7, LOCKING))
+    ]
+
+
 def full_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
     """Return all runs: the fifteen datasets, the article's other experiments and the sweeps; the longest first."""
-    runs = [*_table2(seed, seconds), *_others(seed), *_second_sensor(seed), *_sweeps(seed)]
+    runs = [*_table2(seed, seconds), *_others(seed), *_second_sensor(seed), *_lowered(seed), *_sweeps(seed)]
     return sorted(runs, key=lambda run: -run.frames)
 
 
@@ -241,6 +282,7 @@ def make_dataset(run: Run, folder: Path, on_progress: Callable[[int, int], None]
         departure=run.departure,
         has_laser=run.has_laser,
         sensor=run.sensor,
+        falsification=run.falsification,
         out=folder,
         workers=1,
         on_progress=on_progress,

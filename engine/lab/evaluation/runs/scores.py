@@ -127,6 +127,7 @@ def score_method(
     if not frames.any():
         return None
     cells = np.abs(error.cells_mm[frames])
+    _, constants_out_mm, gains_out_mm = cell_errors_mm(error.cells_mm[frames], outcome.truth.cells_mm[frames])
     points, whole = np.abs(error.points_mm[frames]), np.abs(error.wide_mm[frames, 0])
     truth = outcome.truth
     return Score(
@@ -134,8 +135,8 @@ def score_method(
         cells_mm=float(np.nanmean(cells)),
         worst_frame_mm=float(np.nanmax(np.nanmean(cells, axis=(1, 2)))),
         largest_mm=float(np.nanmax(cells)),
-        constants_out_mm=_left_mm(error.cells_mm[frames]),
-        gains_out_mm=_left_mm(_without_gain(error.cells_mm[frames], outcome.truth.cells_mm[frames])),
+        constants_out_mm=constants_out_mm,
+        gains_out_mm=gains_out_mm,
         whole_mm=float(whole.mean()),
         whole_worst_mm=float(whole.max()),
         points_mm=tuple(points.mean(axis=0).tolist()),
@@ -147,6 +148,15 @@ def score_method(
         volume_correlation=correlation(track.volume_l[frames], truth.volume_l[frames]),
         halves_correlation=correlation(track.wide_mm[frames, 1], track.wide_mm[frames, 2]),
     )
+
+
+def cell_errors_mm(errors_mm: FloatArray, depth_mm: FloatArray) -> tuple[float, float, float]:
+    """Mean absolute error of the cells, with each one's constant taken off, and with its gain too.
+
+    ``errors_mm`` and the true ``depth_mm`` have the shape (n, rows, columns).
+    """
+    mean_mm = float(np.nanmean(np.abs(errors_mm)))
+    return mean_mm, _left_mm(errors_mm), _left_mm(_without_gain(errors_mm, depth_mm))
 
 
 def _left_mm(errors_mm: FloatArray) -> float:

@@ -4,6 +4,7 @@ Every frame is decoded once and passed to all methods.
 """
 
 import json
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -38,12 +39,14 @@ from engine.lab.evaluation.runs.datasets import Run, fingerprint
 from engine.lab.phantom.recording import load_truth
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.truth import CELL_PX, POINTS_RC, Truth
+from engine.motion.learning.model_file import load_model
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import measure_recording
 
 EIGENVALUES = 10
+MODEL_FILE = "model.npz"
 MEASURING_SOURCES = (
     "core/**/*.py",
     "calibration/*.py",
@@ -132,15 +135,20 @@ def measure_run(
             on_frame(frame.index + 1)
     outcome = trial.outcome()
     if run.is_measured_whole:
-        outcome.tracks["offline"] = _measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
+        outcome.tracks["offline"] = measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
     if not run.is_sweep:
         lag_s = truth.spirometer_lag_s
         add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
     return outcome
 
 
-def _measured_whole(folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int) -> Track:
-    """Measure a recording as `tidegate measure` does: every frame, by a model of all of it."""
+def measured_whole(
+    folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int, model: Path | None = None
+) -> Track:
+    """Measure a recording as `tidegate measure` does: every frame, by a model of all of it or by a stored one.
+
+    The model that measured is written to ``model.npz`` of the folder, unless it was given.
+    """
     track, passes = Track.empty(frames), [0]
 
     def keep(measurement: Measurement) -> None:
@@ -156,7 +164,10 @@ def _measured_whole(folder: Path, calibration: Calibration, settings: PipelineSe
             settings=settings,
             on_frame=keep,
             on_pass=lambda number: passes.__setitem__(0, number),
+            model=None if model is None else load_model(model),
         )
+        if model is None:
+            shutil.copy(Path(out) / MODEL_FILE, folder)
     return track
 
 
@@ -178,7 +189,9 @@ class _Trial:
         self._ours = _TidegateSide(calibration, settings.pipeline(), n)
         self._one_component = _TidegateSide(calibration, settings.pipeline(1), n) if run.is_long else None
         self._plain = _PlainSide(run, calibration, settings, n)
-        self._oracle = _OracleSide(run, truth)
+        self._lowered_mm = np.array([run.lowered_mm(time_s) for time_s in truth.timestamp_us * 1e-6])
+        # The oracle knows where the patient lies, not where the couch went.
+        self._oracle = None if run.is_lowered else _OracleSide(run, truth)
         self._smoothed = SmoothedPca(calibration, settings.pipeline(), n) if run.is_measured_whole else None
         self._is_pictured = run.is_pictured
         self._pictures: dict[str, FloatArray] = {}
@@ -193,7 +206,8 @@ class _Trial:
             self._smoothed.add_frame(frame)
         plain = self._plain.add_frame(frame)
         # The oracle uses our reference frame, so that both have the same frame's noise in their errors.
-        self._oracle.add_frame(frame, is_learning=self._ours.track.reference is None)
+        if self._oracle is not None:
+            self._oracle.add_frame(frame, is_learning=self._ours.track.reference is None)
         if self._is_pictured and plain is not None and frame.index in self._truth.full_index:
             self._pictures = _pictures(plain, self._plain.reading, measured, self._ours.pipeline)
             if self._pictures:
@@ -201,7 +215,9 @@ class _Trial:
                 self._pictures["truth"] = self._truth.full_depth_mm[kept]
 
     def outcome(self) -> Outcome:
-        tracks = {"ours": self._ours.track, "oracle": self._oracle.track, **self._plain.tracks}
+        tracks = {"ours": self._ours.track, **self._plain.tracks}
+        if self._oracle is not None:
+            tracks["oracle"] = self._oracle.track
         if self._one_component is not None:
             tracks["ours1"] = self._one_component.track
         if self._smoothed is not None:
@@ -214,7 +230,7 @@ class _Trial:
         ours = self._ours
         return Outcome(
             timestamp_us=self._truth.timestamp_us,
-            truth=_true_track(self._truth),
+            truth=_true_track(self._truth, self._lowered_mm),
             tracks=tracks,
             state=ours.state,
             residual_mm=ours.residual_mm,
@@ -223,7 +239,7 @@ class _Trial:
             spectra=self._plain.spectrum() | ours.spectrum(),
             pictures=self._pictures,
             instruments=instruments,
-            notes={**ours.notes(), "oracle_modes": len(self._oracle.oracle.modes.modes)},
+            notes={**ours.notes(), "oracle_modes": 0 if self._oracle is None else len(self._oracle.oracle.modes.modes)},
             events=json.loads(self._truth.labels)["events"],
         )
 
@@ -355,11 +371,12 @@ def _pictures(
     }
 
 
-def _true_track(truth: Truth) -> Track:
-    """Convert the truth to a track of depth [mm]."""
+def _true_track(truth: Truth, lowered_mm: FloatArray) -> Track:
+    """Convert the truth to a track of depth [mm]; the couch is ``lowered_mm`` below where it was, shape (n,)."""
     track = Track.empty(len(truth.timestamp_us))
-    track.cells_mm[:] = truth.cell_depth_mm
+    track.cells_mm[:] = truth.cell_depth_mm + lowered_mm[:, None, None]
     track.wide_mm[:] = np.column_stack([truth.whole_depth_mm, truth.thorax_depth_mm, truth.abdomen_depth_mm])
-    track.points_mm[:] = truth.point_depth_mm
+    track.wide_mm += lowered_mm[:, None]
+    track.points_mm[:] = truth.point_depth_mm + lowered_mm[:, None]
     track.volume_l[:] = truth.volume_l
     return track

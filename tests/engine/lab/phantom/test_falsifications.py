@@ -7,8 +7,10 @@ import pytest
 
 from engine.lab.phantom.falsifications import (
     Blind,
+    CameraFault,
     Cover,
     Falsification,
+    Limb,
     Move,
     MovedMarker,
     Part,
@@ -139,3 +141,39 @@ def test_a_tilted_body_rises_at_one_end_and_sinks_at_the_other():
 def test_a_slow_move_is_made_in_steps():
     move = Move(up_mm=4.0, over_s=60.0, steps=4)
     assert [move.pose(elapsed_s).z_mm for elapsed_s in (0.0, 7.0, 20.0, 30.0, 90.0)] == [0.0, 0.0, -1.0, -2.0, -4.0]
+
+
+def test_a_blanket_makes_a_share_of_the_motion_below_it_and_the_truth_is_the_skin():
+    blanket = false(cover=Cover(height_mm=6.0, part=Part.WHOLE, follows=0.7))
+    times_s = np.arange(START_S + 0.5, START_S + 5.0, 0.25)
+    seen = np.array([at_grid(blanket, blanket.true_depth(time_s), 0.8, 0.5) for time_s in times_s])
+    skin = np.array([at_grid(blanket, studio().true_depth(time_s), 0.8, 0.5) for time_s in times_s])
+    assert np.ptp(seen) / np.ptp(skin) == pytest.approx(0.7, abs=0.03)
+    assert np.array_equal(cells_mm(blanket), cells_mm(studio()))
+
+
+def test_soaked_cloth_sinks_and_darkens_with_time():
+    soaked = false(cover=Cover(height_mm=-3.0, edge_mm=40.0, has_color=False, laid_s=10.0, darkens=0.5))
+    early, late = (at_grid(soaked, raised_mm(soaked, START_S + s), 0.9, 0.5) for s in (5.0, 10.0))
+    assert (early, late) == pytest.approx((-1.5, -3.0), abs=0.2)
+    before, after = (one.color_frame(FRAME, START_S + 10.0).sum(axis=2) for one in (studio(), soaked))
+    assert at_grid(soaked, after, 0.9, 0.5) / at_grid(soaked, before, 0.9, 0.5) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("follows", "swing"), [(0.0, 0.0), (1.0, 1.0)])
+def test_an_arm_lies_over_the_body_and_moves_with_the_breath_or_not(follows, swing):
+    arm = false(limb=Limb(y_mm=70.0, reach_mm=-60.0, follows=follows))
+    times_s = np.arange(START_S + 1.0, START_S + 5.0, 0.25)
+    seen = np.array([at_grid(arm, arm.true_depth(time_s), 0.72, 0.5) for time_s in times_s])
+    middle = np.array([arm._middle_mm(time_s) for time_s in times_s])
+    assert (at_grid(arm, raised_mm(arm), 0.72, 0.5), at_grid(arm, raised_mm(arm), 0.1, 0.5)) > (40.0, -0.1)
+    assert np.ptp(seen) == pytest.approx(swing * np.ptp(middle), abs=0.3)
+
+
+def test_a_saturated_camera_delivers_nothing_nearer_than_its_limit():
+    build = studio().scene.anatomy.build
+    clipped = false(fault=CameraFault(clips_mm=0.0)).depth_frame(FRAME, AT_S)
+    honest = studio().depth_frame(FRAME, AT_S)
+    assert clipped[clipped > 0].min() == round(build.camera_mm)
+    assert np.array_equal(clipped[honest > build.camera_mm], honest[honest > build.camera_mm])
+    assert np.array_equal(clipped == 0, honest == 0)

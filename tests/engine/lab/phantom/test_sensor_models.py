@@ -73,3 +73,25 @@ def test_an_unknown_sensor_is_refused():
     with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking"):
         find_sensor("lidar")
     assert set(SENSORS) == {"usual", "locking"}
+
+
+def test_an_error_that_is_left_out_is_gone_and_all_of_them_leave_whole_millimetres():
+    plane = np.float32(850.0) + np.linspace(-9.0, 9.0, WIDTH_PX, dtype=np.float32) * np.ones((HEIGHT_PX, 1), np.float32)
+
+    def error_mm(name):
+        sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 3, name)
+        return (sensor.read(plane, NO_HOLES, frame=0, time_s=TIME_S) - plane)[32:-32, 64:-64]
+
+    perfect = error_mm("locking without noise, pattern, locking, steps")
+    is_jump = np.abs(perfect) > 10.0
+    assert is_jump.mean() < 0.01
+    assert np.abs(perfect[~is_jump]).max() <= 0.51
+    all_mm = np.std(error_mm("locking")[~is_jump])
+    for error, share in (("noise", 0.8), ("pattern", 0.99), ("locking", 0.99), ("steps", 0.95)):
+        assert np.std(error_mm(f"locking without {error}")[~is_jump]) < share * all_mm
+
+
+@pytest.mark.parametrize("name", ["lidar", "usual without", "usual without dust", "locking without noise and steps"])
+def test_an_unknown_sensor_or_error_is_refused(name):
+    with pytest.raises(InvalidValueError, match="sensor"):
+        find_sensor(name)
