@@ -90,8 +90,9 @@ documents: $(STAMP)  ## write every part of the documents, of the client and of 
 	@$(BIN)/tidegate openapi --out openapi
 	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
 
-docs-figures: $(STAMP)  ## measure each kind of breathing on both sensors (15 minutes) and write the figures into the documents
+docs-figures: $(STAMP)  ## measure each kind of breathing and each falsification on both sensors (an hour) and write the figures into the documents
 	$(BIN)/tidegate evaluate --accuracy --out build/figures
+	$(BIN)/tidegate evaluate integrity --slow --out build/figures
 	$(BIN)/python -m tests.support.documents.figures build/figures
 
 lint: $(STAMP)  ## ruff, rules and format

@@ -178,8 +178,10 @@ SENSORS = {
 USUAL = "usual"
 
 
+LEAST_NOISE_SHIFTS = 0.1
+"""What is left of noise that is left out: without any, the pictures of a body at rest are equal, and refused."""
 ERRORS: dict[str, dict[str, float | bool]] = {
-    "noise": {"noise_shifts": 0.0},
+    "noise": {"noise_shifts": LEAST_NOISE_SHIFTS},
     "pattern": {"pattern_shifts": 0.0},
     "locking": {"locking_shifts": 0.0},
     "steps": {"is_stepped": False},

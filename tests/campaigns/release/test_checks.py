@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from tests.campaigns.release.checks import project_version, troubles
-from tests.support.documents.figures import code_of_figures
+from tests.support.documents.figures import SOURCES, code_of
 from tests.support.repository import ROOT
 
 
@@ -16,7 +16,12 @@ def git(folder, *words):
     )
 
 
-FIGURES = "<!-- made: accuracy -->\nat commit 1234abcd, code `{}`\n<!-- end: accuracy -->\n"
+def figures(code=None):
+    """Return the parts that the figures stand in, of this code or another."""
+    return "".join(
+        f"<!-- made: {part} -->\nat commit 1234abcd, code `{code or code_of(part)}`\n<!-- end: {part} -->\n"
+        for part in SOURCES
+    )
 
 
 @pytest.fixture
@@ -28,7 +33,7 @@ def ready(tmp_path):
         "openapi/openapi.json": '{"info": {"version": "1.2.3"}}',
         "openapi/released/1.2.3.json": '{"info": {"version": "1.2.3"}}',
         "docker/sbom.cdx.json": '{"bom-ref": "pkg:generic/tidegate@1.2.3"}',
-        "docs/5-evidence/evaluation.md": FIGURES.format(code_of_figures()),
+        "docs/5-evidence/evaluation.md": figures(),
         "CHANGELOG.md": "# Changelog\n\n## [Unreleased]\n\n## [1.2.3] - 2026-11-23\n- Something.\n",
     }
     for name, text in files.items():
@@ -51,7 +56,7 @@ BROKEN = {
     "engine/__init__.py": ('__version__ = "1.2.2"\n', "engine/__init__.py: version 1.2.2"),
     "openapi/openapi.json": ('{"info": {"version": "1.2.4"}}', "openapi/openapi.json: version 1.2.4"),
     "openapi/released/1.2.3.json": ("{}", "must be a copy"),
-    "docs/5-evidence/evaluation.md": (FIGURES.format("0123456789abcdef"), "run make docs-figures"),
+    "docs/5-evidence/evaluation.md": (figures("0123456789abcdef"), "run make docs-figures"),
     "docker/sbom.cdx.json": ("{}", "docker/sbom.cdx.json: version missing"),
     "CHANGELOG.md": ("# Changelog\n\n## [Unreleased]\n- More.\n\n## [1.2.3] - 2026-11-23\n", "has entries"),
 }

@@ -186,16 +186,10 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
 
     A rigid move fails where it is not named within a second, an honest recording where more than 1 % is lost.
     """
-    rows, failed = [], set()
-    for number, sessions in enumerate(cases):
+    rows = []
+    for sessions in cases:
         case, found = sessions[0].case, verdict(sessions)
-        is_unnamed = (
-            case.is_rigid and case.seconds <= FALSE_S and (found.named_s is None or found.named_s > LONGEST_UNNAMED_S)
-        )
-        is_lost = case.is_honest and found.measured_percent < LEAST_HONEST_PERCENT
-        if found.longest_wrong_s > LONGEST_WRONG_S or is_unnamed or is_lost:
-            failed.add(number)
-        reasons = next((session.reasons[0] for session in sessions if session.reasons), None)
+        reason = next((session.reasons[0].partition(":")[0] for session in sessions if session.reasons), None)
         rows.append(
             (
                 case.kind,
@@ -209,7 +203,8 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
                 found.named or None,
                 found.on_s,
                 found.wrong_on_s,
-                reasons,
+                reason,
+                ", ".join(_misses(case, found)) or None,
             )
         )
     return Table(
@@ -228,6 +223,7 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
             "beam on [s]",
             "of it outside [s]",
             "first reason",
+            "misses",
         ),
         rows=tuple(rows),
         note=(
@@ -237,8 +233,19 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
             "Beam on is that of the signal with most of it; outside: true motion more than 1 mm outside of the window."
         ),
         digits=2,
-        failed=frozenset(failed),
+        failed=frozenset(number for number, row in enumerate(rows) if row[-1] is not None),
     )
+
+
+def _misses(case: Case, found: Verdict) -> list[str]:
+    """Return which targets a case misses."""
+    is_unnamed = found.named_s is None or found.named_s > LONGEST_UNNAMED_S
+    misses = {
+        "stands": found.longest_wrong_s > LONGEST_WRONG_S,
+        "not named": case.is_rigid and case.seconds <= FALSE_S and is_unnamed,
+        "lost": case.is_honest and found.measured_percent < LEAST_HONEST_PERCENT,
+    }
+    return [name for name, is_missed in misses.items() if is_missed]
 
 
 def _is_wrong(session: Session) -> BoolArray:

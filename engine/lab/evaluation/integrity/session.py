@@ -21,6 +21,7 @@ from engine.core.signals import HeadDirection, depends_on_head, signal_of
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
+from engine.gating.supervision.patient_shift import Movement
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import amplitude_window
 from engine.lab.evaluation.integrity.cases import HONEST_S, POSITION, Case
@@ -48,6 +49,8 @@ WINDOW_SHARE = 0.35
 BELOW_MM = 1.5
 WRONG_MM = 1.0
 MOVED_DEG = 0.5
+SHIFTED_MM = 3.0
+"""A reported shift of the markers: breathing moves them by less."""
 
 SIGNALS = (
     SignalChoice(signal=GateSignal.WHOLE),
@@ -79,7 +82,8 @@ class Session:
     outside_mm
         How far the true motion is outside of the signal's window [mm], shape (n, signals).
     is_moved
-        Whether a rigid movement of the patient was reported: above 1 mm in height or half a degree, shape (n,).
+        Whether a rigid movement of the patient was reported: above 1 mm in height, 3 mm along the couch or half a
+        degree, shape (n,).
     reasons
         First text of each kind of loss and hold.
     first_s
@@ -271,6 +275,7 @@ class _Recorder:
         self._measurements: list[Measurement] = []
         self._holds: list[tuple[Interruption, ...]] = []
         self._truth_mm: list[FloatArray] = []
+        self._moved: list[bool] = []
         self._supervisor = FrameSupervisor(_limits(0.0, 1.0))
 
     def take(self, frame: RgbdFrame, truth_mm: FloatArray) -> None:
@@ -289,6 +294,7 @@ class _Recorder:
                 notices=self._pipeline.learner.take_notices(),
             )
         )
+        self._moved.append(_is_moved(measurement.position, self._supervisor.movement))
 
     def session(self, case: Case) -> Session:
         """Return what was measured since the falsification began."""
@@ -319,7 +325,7 @@ class _Recorder:
             is_on=is_on[onset:],
             outside_mm=np.maximum(outside_mm, 0.0)[onset:],
             reasons=self._reasons(onset),
-            is_moved=np.array([_is_moved(one.position) for one in self._measurements])[onset:],
+            is_moved=np.array(self._moved)[onset:],
             first_s=self._first_s(onset),
         )
 
@@ -346,7 +352,7 @@ class _Recorder:
                 codes.append(measurement.reason.reason.value)
             if any(_unseen(measurement)):
                 codes.append(HoldReason.COVERAGE_LOW.value)
-            if _is_moved(measurement.position):
+            if self._moved[onset + number]:
                 codes.append(POSITION)
             for code in codes:
                 found.setdefault(code, number / FPS)
@@ -365,7 +371,10 @@ class _Recorder:
         return tuple(found.values())
 
 
-def _is_moved(position: BodyPosition | None) -> bool:
+def _is_moved(position: BodyPosition | None, movement: Movement | None) -> bool:
+    """Whether a movement of the patient is reported, by the surface or by the markers."""
+    if movement is not None and (movement.shift_mm > SHIFTED_MM or abs(movement.on_couch_deg) > MOVED_DEG):
+        return True
     if position is None:
         return False
     turn_deg = max(abs(position.tilt_deg), abs(position.roll_deg))

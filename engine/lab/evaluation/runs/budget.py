@@ -23,6 +23,7 @@ from engine.lab.evaluation.table import Cell, Table
 from engine.lab.phantom.recording import load_truth
 from engine.lab.phantom.sensor import ERRORS
 from engine.lab.phantom.truth import Truth
+from engine.motion.learning.model_file import load_model
 from engine.motion.tracking.region_tracker import RegionTracker
 
 RECORDED, PERFECT = "as recorded", "no error of the sensor"
@@ -90,7 +91,9 @@ def table(budgets: list[Budget]) -> Table:
 def _errors_mm(folder: Path, model: Path | None) -> tuple[float, float, float]:
     truth = load_truth(folder / "truth.npz")
     calibration = load_calibration(folder / "calibration.json")
-    track = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us), model)
+    # A model of another sensor's recording: the steps of its readings are not compared.
+    stored = None if model is None else replace(load_model(model), depth_steps=None)
+    track = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us), stored)
     first, frames = track.reference, track.is_measured
     true_mm: FloatArray = truth.cell_depth_mm[0 if first is None else first] - truth.cell_depth_mm
     return cell_errors_mm((track.cells_mm - true_mm)[frames], truth.cell_depth_mm[frames])

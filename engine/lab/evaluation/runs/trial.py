@@ -17,6 +17,7 @@ from engine.calibration.camera_calibration import Calibration, load_calibration
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import ManualClock
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Measurement, MeasurementState, Motion, RgbdFrame
+from engine.core.motion_model import MotionModel
 from engine.core.native_process import keep_calls_in_their_thread
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
@@ -39,7 +40,6 @@ from engine.lab.evaluation.runs.datasets import Run, fingerprint
 from engine.lab.phantom.recording import load_truth
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.truth import CELL_PX, POINTS_RC, Truth
-from engine.motion.learning.model_file import load_model
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
@@ -143,7 +143,7 @@ def measure_run(
 
 
 def measured_whole(
-    folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int, model: Path | None = None
+    folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int, model: MotionModel | None = None
 ) -> Track:
     """Measure a recording as `tidegate measure` does: every frame, by a model of all of it or by a stored one.
 
@@ -164,7 +164,7 @@ def measured_whole(
             settings=settings,
             on_frame=keep,
             on_pass=lambda number: passes.__setitem__(0, number),
-            model=None if model is None else load_model(model),
+            model=model,
         )
         if model is None:
             shutil.copy(Path(out) / MODEL_FILE, folder)
