@@ -21,6 +21,7 @@ from engine.lab.evaluation.report.more_figures import (
     holds,
     legend,
     line,
+    segments,
     shade_of,
     surface,
     sweeps,
@@ -47,6 +48,7 @@ def all_figures(scored: list[ScoredRun]) -> list[Picture]:
         long_irregular,
         holds,
         error_maps,
+        segments,
         sweeps,
     )
     return [picture for make in makers if (picture := make(scored)) is not None]

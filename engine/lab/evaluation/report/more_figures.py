@@ -192,3 +192,30 @@ def sweeps(scored: list[ScoredRun]) -> Picture | None:
     return draw(
         "more_sweeps", "Error against distance, amplitude, frame rate and holes", note, (3.2 * len(groups), 3.4), paint
     )
+
+
+def segments(scored: list[ScoredRun]) -> Picture | None:
+    """Draw motion and error of recordings in which the couch goes down, with the segments they are measured in."""
+    runs = [one for one in of_group(scored, "couch") if "offline" in one.whole_scores]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, len(runs), 2)
+        for number, one in enumerate(runs):
+            left, right = panels[2 * number : 2 * number + 2]
+            seconds, true_mm = one.outcome.seconds, one.true_motion("offline")[0][:, 0]
+            motion_mm = one.outcome.tracks["offline"].wide_mm[:, 0]
+            line(left, seconds, motion_mm, "ours")
+            line(left, seconds, true_mm, "truth")
+            line(right, seconds, motion_mm - true_mm, "ours", width=0.9)
+            for begun in one.outcome.notes["segments"]:
+                left.axvline(seconds[begun["first_frame"]], color=COLORS["laser"], linewidth=1)
+                place = (seconds[begun["first_frame"]], 0.02)
+                left.annotate(begun["cause"], place, xycoords=left.get_xaxis_transform(), fontsize=7, rotation=90)
+            caption(left, f"{one.run.name}, sensor {one.run.sensor}: whole region", "time [s]", "motion [mm]")
+            caption(right, f"{one.run.name}: error", "time [s]", "error [mm]")
+        legend(panels[0], 1)
+
+    note = "The patient shifts while the couch goes down by 2 mm: every frame is measured, a line begins each segment."
+    return draw("more_segments", "A patient and a couch that move", note, (10, 0.6 + 2.6 * len(runs)), paint)

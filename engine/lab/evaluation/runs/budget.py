@@ -93,7 +93,7 @@ def _errors_mm(folder: Path, model: Path | None) -> tuple[float, float, float]:
     calibration = load_calibration(folder / "calibration.json")
     # A model of another sensor's recording: the steps of its readings are not compared.
     stored = None if model is None else replace(load_model(model), depth_steps=None)
-    track = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us), stored)
+    track, _ = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us), stored)
     first, frames = track.reference, track.is_measured
     true_mm: FloatArray = truth.cell_depth_mm[0 if first is None else first] - truth.cell_depth_mm
     return cell_errors_mm((track.cells_mm - true_mm)[frames], truth.cell_depth_mm[frames])

@@ -44,6 +44,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import measure_recording
+from engine.offline.segments import SegmentSummary
 
 EIGENVALUES = 10
 MODEL_FILE = "model.npz"
@@ -135,7 +136,9 @@ def measure_run(
             on_frame(frame.index + 1)
     outcome = trial.outcome()
     if run.is_measured_whole:
-        outcome.tracks["offline"] = measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
+        found = measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
+        outcome.tracks["offline"], segments = found
+        outcome.notes["segments"] = [{"first_frame": one.first_frame, "cause": one.cause} for one in segments]
     if not run.is_sweep:
         lag_s = truth.spirometer_lag_s
         add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
@@ -144,10 +147,11 @@ def measure_run(
 
 def measured_whole(
     folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int, model: MotionModel | None = None
-) -> Track:
+) -> tuple[Track, tuple[SegmentSummary, ...]]:
     """Measure a recording as `tidegate measure` does: every frame, by a model of all of it or by a stored one.
 
-    The model that measured is written to ``model.npz`` of the folder, unless it was given.
+    Returns what was measured, and the segments in which patient, couch and camera stay where they are. The model that
+    measured is written to ``model.npz`` of the folder, unless it was given.
     """
     track, passes = Track.empty(frames), [0]
 
@@ -157,7 +161,7 @@ def measured_whole(
 
     source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
     with tempfile.TemporaryDirectory() as out:
-        measure_recording(
+        summary = measure_recording(
             source,
             calibration,
             Path(out),
@@ -168,7 +172,7 @@ def measured_whole(
         )
         if model is None:
             shutil.copy(Path(out) / MODEL_FILE, folder)
-    return track
+    return track, summary.segments
 
 
 def _write(track: Track, index: int, motion: Motion) -> None:

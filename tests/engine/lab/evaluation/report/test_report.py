@@ -37,12 +37,15 @@ def run_of(run, off_mm, events=(), *, lost=()):
         found.tracks[name] = measured_track(breath(), 10, 3.0 * off_mm)
     found.spectra |= dict.fromkeys(("plain", "ours"), np.geomspace(0.9, 1e-3, 10))
     found.notes |= {"lost": dict(lost), "spirometer_lag_s": 0.4}
+    found.notes["segments"] = [{"first_frame": 0, "cause": "start"}, {"first_frame": 40, "cause": "camera_moved"}]
     found.notes["spirometer_ours"] = {"lag_s": 0.41, "correlation": 0.999}
     if run.is_pictured:
         found.tracks["bilateral"] = measured_track(breath(), 12, 4.0 * off_mm)
         surface = 850.0 + np.add.outer(np.arange(350.0) / 10.0, np.arange(200.0) / 10.0)
         names = ("frame", "unfiltered_component", "unfiltered", "plain_component", "plain", "ours_component", "ours")
         found.pictures |= dict.fromkeys((*names, "truth"), surface)
+    if run.is_lowered:
+        found.tracks["offline"] = measured_track(breath(), 0, off_mm)
     laser = np.tile(breath()[:, None], (1, 37))
     found.instruments |= {"laser_mm": laser, "laser_ours_mm": laser + 0.1}
     found.instruments |= {"laser_line_mm": laser[:, :5], "laser_plain_mm": laser[:, :5] + 0.2}
@@ -60,6 +63,7 @@ def everything():
         run_of(small_run("V01", group="isovolume", scenario="isovolume"), 0.1, [SHUFFLE]),
         run_of(small_run("H01", group="dibh", scenario="dibh"), 0.2, [HOLD]),
         run_of(small_run("S01", group="shift", scenario="shift"), 0.1),
+        run_of(small_run("S03", group="couch", scenario="shift", is_lowered=True), 0.1),
         *(run_of(small_run(f"{g}-1", group=g, setting=1.0), 1.2, lost=[("coverage_low", 7)]) for g in SWEEPS),
     ]
 
@@ -110,6 +114,7 @@ def test_every_figure_is_on_the_page_and_in_a_file_and_states_what_it_shows(repo
     pictures = sorted(out.glob("*.png"))
     for number in ("05", "06", "07", "08", "11", "12", "13", "14", "15", "16", "17"):
         assert any(picture.name.startswith(f"fig{number}_") for picture in pictures)
+    assert out / "more_segments.png" in pictures
     for picture in pictures:
         content = picture.read_bytes()
         assert content.startswith(PNG)

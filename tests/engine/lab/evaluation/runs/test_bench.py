@@ -222,3 +222,13 @@ def test_sweeps_cover_what_the_issue_asks_for():
 def test_a_plan_out_of_bounds_is_refused_by_name(field, seed, seconds):
     with pytest.raises(InvalidValueError, match=rf"^{field} is "):
         check_plan(seed, seconds)
+
+
+def test_the_couch_goes_down_under_a_patient_who_shifts_on_both_sensors():
+    lowered = [run for run in full_plan() if run.is_lowered]
+    assert {run.sensor for run in lowered} == set(SENSORS)
+    for run in lowered:
+        assert run.scenario == "shift"
+        assert run.falsification.floor_stays
+        assert [run.lowered_mm(time_s) for time_s in (0.0, 21.9, 33.0)] == [0.0, 0.0, 2.0]
+    assert all(run.falsification is None and run.lowered_mm(33.0) == 0.0 for run in full_plan() if not run.is_lowered)
