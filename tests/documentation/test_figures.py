@@ -4,14 +4,24 @@ import re
 
 import pytest
 
-from tests.support.documents.figures import CODE, DOCUMENT, SOURCES, accuracy, code_of, integrity, stale
+from tests.support.documents.figures import (
+    CODE,
+    DOCUMENT,
+    SOURCES,
+    accuracy,
+    budget,
+    code_of,
+    hazards,
+    integrity,
+    stale,
+)
 from tests.support.generated_sections import part_of, with_part
 from tests.support.repository import ROOT
 
 PRINTED = "sensor,plain,frames\nusual,0.1234567,100.0%\n"
-HEAD = "kind,size,measured [%],longest [s],largest error [mm],named after [s],of it outside [s],misses\n"
-USUAL = HEAD + "sheet,2 mm,99.51,7.90,2.71,,0.0,stands\nhonest,,100.0,0.0,0.3,,0.0,\n"
-LOCKING = HEAD + "sheet,2 mm,4.0,0.3,2.7,0.333,0.07,\nhonest,,98.0,0.0,0.3,,0.0,\n"
+HEAD = "kind,size,hazard,measured [%],longest [s],largest error [mm],named after [s],of it outside [s],misses\n"
+USUAL = HEAD + "sheet,2 mm,S2,99.51,7.90,2.71,,0.0,stands\nhonest,,,100.0,0.0,0.3,,0.0,\n"
+LOCKING = HEAD + "sheet,2 mm,S2,4.0,0.3,2.7,0.333,0.07,\nhonest,,,98.0,0.0,0.3,,0.0,\n"
 
 
 @pytest.fixture
@@ -19,13 +29,18 @@ def document(tmp_path):
     page = tmp_path / DOCUMENT
     page.parent.mkdir(parents=True)
     page.write_text("".join(f"<!-- made: {part} -->\n<!-- end: {part} -->\n" for part in SOURCES))
-    for name, text in (("accuracy", PRINTED), ("integrity_usual", USUAL), ("integrity_locking", LOCKING)):
+    for name, text in (
+        ("accuracy", PRINTED),
+        ("budget", PRINTED),
+        ("integrity_usual", USUAL),
+        ("integrity_locking", LOCKING),
+    ):
         (tmp_path / f"{name}.csv").write_text(text)
     return page
 
 
 def written(document, tmp_path):
-    for part, make in (("accuracy", accuracy), ("integrity", integrity)):
+    for part, make in (("accuracy", accuracy), ("budget", budget), ("integrity", integrity)):
         document.write_text(with_part(document.read_text(), part, make(tmp_path, "1234abcd")))
 
 
@@ -43,6 +58,15 @@ def test_of_the_falsifications_those_stand_there_that_miss_a_target_on_a_sensor(
     assert "for at most 0.07 s" in made
     row = "| sheet, 2 mm | 100; 7.90; 2.7; not by all | stands | 4; 0.30; 2.7; 0.33 | none |"
     assert made.splitlines()[2:] == ["| falsification | usual | misses | locking | misses |", f"|{' --- |' * 5}", row]
+
+
+def test_each_hazard_has_its_figures_on_both_sensors(tmp_path, document):
+    made = hazards(tmp_path, "1234abcd").splitlines()
+    assert made[2:] == [
+        "| hazard | usual | locking |",
+        "| --- | --- | --- |",
+        "| S2 | 0 of 1; 7.90; 0.00 | 1 of 1; 0.30; 0.07 |",
+    ]
 
 
 @pytest.mark.parametrize("part", SOURCES)

@@ -1,7 +1,7 @@
 """Figures in docs/5-evidence/evaluation.md: ``python -m tests.support.documents.figures REPORT`` writes them.
 
-``REPORT`` is a folder that ``tidegate evaluate --accuracy`` and ``tidegate evaluate integrity --slow`` have written at
-this commit; ``make docs-figures`` runs all three. Each part names the commit and a fingerprint of the code that its
+``REPORT`` is a folder that ``tidegate evaluate --accuracy``, ``tidegate evaluate budget`` and ``tidegate evaluate
+integrity --slow`` have written at this commit; ``make docs-figures`` runs all of them. Each part names the commit and a fingerprint of the code that its
 figures depend on: `stale` compares it, and a release with figures of other code is refused.
 """
 
@@ -19,9 +19,11 @@ from tests.support.generated_sections import part_of, write_parts
 from tests.support.repository import ROOT
 
 DOCUMENT = Path("docs") / "5-evidence" / "evaluation.md"
+HAZARDS = Path("docs") / "2-clinical" / "hazards.md"
 CODE = re.compile(r"code `([0-9a-f]{16})`")
 SOURCES = {
     "accuracy": ("lab/phantom/*.py", "lab/evaluation/runs/*.py", *MEASURING_SOURCES),
+    "budget": ("lab/phantom/*.py", "lab/evaluation/runs/*.py", *MEASURING_SOURCES),
     "integrity": ("lab/phantom/*.py", "lab/evaluation/integrity/*.py", *MEASURING_SOURCES),
 }
 """What each part depends on: the phantom, the measurement and its judgement; globs relative to ``engine``."""
@@ -57,9 +59,17 @@ def accuracy(report: Path, commit: str) -> str:
     return "\n".join([said, "", *_table(head, [[_short(cell, 3) for cell in row] for row in body])])
 
 
+def budget(report: Path, commit: str) -> str:
+    """Return the part: the share of each cause of error, as the command printed it."""
+    head, *body = _rows(report / "budget.csv")
+    said = f"`tidegate evaluate budget` printed at commit {commit}, code `{code_of('budget')}` (mm, cells of 10 px):"
+    return "\n".join([said, "", *_table(head, [[_short(cell, 3) for cell in row] for row in body])])
+
+
 class _Case(NamedTuple):
     """What the command printed of a falsification on one sensor."""
 
+    hazard: str
     measured: str
     longest_s: str
     largest_mm: str
@@ -71,6 +81,7 @@ class _Case(NamedTuple):
     def of(cls, row: dict[str, str]) -> "_Case":
         """Read a row of the command's CSV."""
         return cls(
+            row["hazard"],
             _short(row["measured [%]"], 0),
             _short(row["longest [s]"], 2),
             _short(row["largest error [mm]"], 1),
@@ -101,6 +112,26 @@ def integrity(report: Path, commit: str) -> str:
     head = ["falsification", *(part for sensor in SENSORS for part in (sensor, "misses"))]
     rows = [[", ".join(name), *(cell for sensor in SENSORS for cell in found[sensor][name].cells)] for name in missed]
     return "\n".join([said, "", *_table(head, rows)])
+
+
+def hazards(report: Path, commit: str) -> str:
+    """Return the part: for each hazard that has falsifications, how many meet the targets on each sensor."""
+    found = {sensor: list(_cases(report / f"integrity_{sensor}.csv").values()) for sensor in SENSORS}
+    names = sorted({case.hazard for cases in found.values() for case in cases if case.hazard})
+    said = (
+        f"`tidegate evaluate integrity --slow` printed at commit {commit}, code `{code_of('integrity')}`: of the "
+        "falsifications of each hazard those that meet every target; longest time with an error above 1 mm as measured "
+        "[s]; beam on with the true motion more than 1 mm outside of the window [s]."
+    )
+    rows = []
+    for name in names:
+        cells = [name]
+        for cases in found.values():
+            of = [case for case in cases if case.hazard == name]
+            longest_s, outside_s = max(float(case.longest_s) for case in of), max(case.on_outside_s for case in of)
+            cells.append(f"{sum(not case.misses for case in of)} of {len(of)}; {longest_s:.2f}; {outside_s:.2f}")
+        rows.append(cells)
+    return "\n".join([said, "", *_table(["hazard", *SENSORS], rows)])
 
 
 def _cases(path: Path) -> dict[tuple[str, str], _Case]:
@@ -137,8 +168,15 @@ def main() -> None:
         msg = "engine/ has changes that are not committed: the figures would be of no commit"
         raise UncommittedError(msg)
     report, commit = Path(sys.argv[1]), git("rev-parse", "--short=8", "HEAD")
-    makers = {"accuracy": accuracy, "integrity": integrity}
-    write_parts(ROOT / DOCUMENT, {part: lambda make=make: make(report, commit) for part, make in makers.items()})
+    write_parts(
+        ROOT / DOCUMENT,
+        {
+            "accuracy": lambda: accuracy(report, commit),
+            "budget": lambda: budget(report, commit),
+            "integrity": lambda: integrity(report, commit),
+        },
+    )
+    write_parts(ROOT / HAZARDS, {"falsified": lambda: hazards(report, commit)})
 
 
 if __name__ == "__main__":

@@ -194,6 +194,7 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
             (
                 case.kind,
                 case.size,
+                case.hazard or None,
                 found.measured_percent,
                 found.wrong_percent,
                 found.longest_wrong_s,
@@ -213,6 +214,7 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
         columns=(
             "kind",
             "size",
+            "hazard",
             "measured [%]",
             f"wrong by more than {WRONG_MM:g} mm [%]",
             "longest [s]",

@@ -1,6 +1,6 @@
 """The catalogue of falsified recordings: kinds, sizes, and what is done to the scene."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from engine.core.errors import InvalidValueError
@@ -60,6 +60,8 @@ class Case:
         nothing is to be named.
     scenario
         How the patient breathes; the model is learned from regular breathing in any case.
+    hazard
+        The hazard of docs/2-clinical/hazards.md that it tries; empty for an honest recording.
     """
 
     kind: str
@@ -71,6 +73,7 @@ class Case:
     head_direction: HeadDirection | None = HeadDirection.TOP
     causes: tuple[str, ...] = ()
     scenario: str = "regular"
+    hazard: str = ""
 
     @property
     def is_honest(self) -> bool:
@@ -85,20 +88,28 @@ class Case:
 
 def cases(*, is_slow: bool = False) -> list[Case]:
     """Return all cases; ``is_slow`` adds what takes longer than 20 s."""
-    found = [
-        *_honest(),
-        *_covers(),
-        *_markers(),
-        *_blind_areas(),
-        *_moves(),
-        *_stale(),
-        *_orientations(),
-        *_silent_checks(),
-        *_camera_faults(),
-        *_limbs(),
-        *_blankets(),
+    makers: tuple[tuple[str, tuple[Callable[[], Iterator[Case]], ...]], ...] = (
+        ("", (_honest,)),
+        ("S2", (_covers, _markers, _limbs, _blankets, _stickers)),
+        ("S11", (_blind_areas,)),
+        ("P1", (_moves,)),
+        ("S13", (_camera_moves, _camera_faults)),
+        ("S1", (_delays,)),
+        ("S8", (_stale,)),
+        ("P7", (_orientations,)),
+        ("S16", (_silent_checks,)),
+    )
+    slow: tuple[tuple[str, tuple[Callable[[], Iterator[Case]], ...]], ...] = (
+        ("P1", (_slow_moves,)),
+        ("S13", (_slow_camera_moves,)),
+        ("S2", (_slow_halves, _slow_covers)),
+    )
+    return [
+        replace(case, hazard=hazard)
+        for hazard, yielded in (*makers, *(slow if is_slow else ()))
+        for make in yielded
+        for case in make()
     ]
-    return [*found, *_slow_moves(), *_slow_halves(), *_slow_covers()] if is_slow else found
 
 
 def falsification_of(kind: str, size: str | None, *, start_s: float) -> Falsification:
@@ -212,6 +223,9 @@ def _moves() -> Iterator[Case]:
         yield _move("body turned", f"{angle_deg:g} deg", Move(turn_deg=angle_deg))
         yield _move("body tilted", f"{angle_deg:g} deg", Move(tilt_deg=angle_deg))
         yield _move("body rolled", f"{angle_deg:g} deg", Move(roll_deg=angle_deg))
+
+
+def _camera_moves() -> Iterator[Case]:
     for up_mm in (4.0, 10.0):
         yield _move("camera lowered", f"{up_mm:g} mm", Move(up_mm=up_mm), is_camera=True)
     for up_mm in (2.0, 5.0):
@@ -227,14 +241,33 @@ def _moves() -> Iterator[Case]:
 
 
 def _slow_moves() -> Iterator[Case]:
-    slow = {"over_s": SLOW_S, "steps": 40}
-    for move, name in ((Move(up_mm=-4.0, **slow), "lowered"), (Move(tilt_deg=2.0, **slow), "tilted")):  # type: ignore[arg-type]
-        size = f"{abs(move.up_mm) or move.tilt_deg:g} in {SLOW_S:g} s"
-        body = Case(
-            kind=f"body {name}", size=size, falsification=_false(body=move), seconds=SLOW_S, is_rigid=True, causes=MOVED
+    for size, false in _slow():
+        yield Case(
+            kind=f"body {size[0]}",
+            size=size[1],
+            falsification=_false(body=false),
+            seconds=SLOW_S,
+            is_rigid=True,
+            causes=MOVED,
         )
-        yield body
-        yield replace(body, kind=f"camera {name}", falsification=_false(camera=move), causes=CAMERA)
+
+
+def _slow_camera_moves() -> Iterator[Case]:
+    for size, false in _slow():
+        yield Case(
+            kind=f"camera {size[0]}",
+            size=size[1],
+            falsification=_false(camera=false),
+            seconds=SLOW_S,
+            is_rigid=True,
+            causes=CAMERA,
+        )
+
+
+def _slow() -> Iterator[tuple[tuple[str, str], Move]]:
+    """Yield what happens and how far, and the move."""
+    yield ("lowered", f"4 in {SLOW_S:g} s"), Move(up_mm=-4.0, over_s=SLOW_S, steps=40)
+    yield ("tilted", f"2 in {SLOW_S:g} s"), Move(tilt_deg=2.0, over_s=SLOW_S, steps=40)
 
 
 def _move(kind: str, size: str, move: Move, *, is_camera: bool = False) -> Case:
@@ -249,6 +282,9 @@ def _stale() -> Iterator[Case]:
         stale = Stale(ring=ring, flicker=flicker)
         size = f"{flicker:.0%} flicker"
         yield Case(kind=kind, size=size, falsification=_false(stale=stale), seconds=2.0 * FALSE_S, causes=OLD)
+
+
+def _delays() -> Iterator[Case]:
     for rate in (0.05, 0.2):
         stale = Stale(delay_s_per_s=rate)
         yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale), causes=OLD)
@@ -276,6 +312,9 @@ def _silent_checks() -> Iterator[Case]:
         is_rigid=True,
         causes=(*CAMERA, *MOVED),
     )
+
+
+def _stickers() -> Iterator[Case]:
     for slide_mm in (2.0, 5.0):
         yield Case(
             kind="stickers slide with the breath", size=f"{slide_mm:g} mm", falsification=_false(slide_mm=slide_mm)

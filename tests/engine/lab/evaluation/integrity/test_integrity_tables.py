@@ -1,5 +1,7 @@
 """The verdict on falsified recordings, by construction."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from engine.lab.evaluation.integrity.bench import integrity_table, verdict
 from engine.lab.evaluation.integrity.cases import Case, cases
 from engine.lab.evaluation.integrity.session import FPS, SIGNALS, Session
 from engine.lab.phantom.falsifications import Falsification
+from tests.support.repository import ROOT
 
 FRAMES = 60
 CAUSES = ("camera_moved", "patient_shifted")
@@ -78,6 +81,14 @@ def test_every_case_that_is_false_has_codes_that_name_it():
         "feet first",
         "a person leans over the couch",
     }
+
+
+def test_every_case_that_is_false_tries_a_hazard_of_the_page():
+    known = set(
+        re.findall(r"^### ([A-Z]\d+):", (ROOT / "docs" / "2-clinical" / "hazards.md").read_text(), re.MULTILINE)
+    )
+    assert {case.hazard for case in cases(is_slow=True)} - known == {""}
+    assert {case.kind for case in cases(is_slow=True) if not case.hazard} == {"honest", "marker hidden"}
 
 
 def test_beam_on_outside_is_that_with_the_true_motion_far_outside():
