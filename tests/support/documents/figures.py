@@ -1,8 +1,9 @@
 """Figures in docs/5-evidence/evaluation.md: ``python -m tests.support.documents.figures REPORT`` writes them.
 
 ``REPORT`` is a folder that ``tidegate evaluate --accuracy``, ``tidegate evaluate budget`` and ``tidegate evaluate
-integrity --slow`` have written at this commit; ``make docs-figures`` runs all of them. Each part names the commit and a fingerprint of the code that its
-figures depend on: `stale` compares it, and a release with figures of other code is refused.
+integrity --slow`` have written at this commit; ``make docs-figures`` runs all of them. Each part names the commit and a
+fingerprint of the code that its figures depend on: `stale` compares it, and a release with figures of other code is
+refused.
 """
 
 import csv
