@@ -92,6 +92,7 @@ class TestForcedColours:
         STATES["hold"].apply(fake)
         with opened_tab(fake, shared_context, door) as tab:
             tab.page.emulate_media(forced_colors="active")
+            tab.page.set_viewport_size({"width": 1920, "height": 1080})  # the map has its place on a large screen
             STATES["hold"].open(tab.page, tab.url)
             tab.draws(fake)
             found = tint(tab.page, canvas)

@@ -3,7 +3,7 @@
 The clicks and keys are real input of Chromium.
 """
 
-from itertools import pairwise
+from itertools import combinations
 
 import pytest
 from playwright.sync_api import expect
@@ -69,12 +69,18 @@ def boxes(clicked: ClickedPage) -> dict[str, dict[str, float]]:
     return {name: dict(box) for name, box in found.items() if box is not None}
 
 
+def overlap(one: dict[str, float], other: dict[str, float]) -> bool:
+    return all(
+        one[start] < other[start] + other[size] and other[start] < one[start] + one[size]
+        for start, size in (("x", "width"), ("y", "height"))
+    )
+
+
 def test_acknowledge_arm_and_release_have_a_place_of_their_own_in_every_state(clicked: ClickedPage):
     clicked.open_settled(DISARMED)
     places = boxes(clicked)
     assert set(places) == set(PERMITTING), "all three are always shown"
-    rows = sorted(places.values(), key=lambda box: box["x"])
-    assert all(left["x"] + left["width"] <= right["x"] for left, right in pairwise(rows))
+    assert not any(overlap(one, other) for one, other in combinations(places.values(), 2))
     for name, message in STATES.items():
         clicked.fake.sample = message
         clicked.advance(400)

@@ -13,9 +13,9 @@ pytestmark = pytest.mark.browser
 
 
 def green_share(picture: npt.NDArray[np.int_]) -> float:
-    """Return the share of the gate panel (the upper left of the screen) that is green."""
+    """Return the share of the gate panel (the upper left of the screen, beside its frame) that is green."""
     height, width = picture.shape[:2]
-    gate = picture[int(0.08 * height) : int(0.47 * height), int(0.01 * width) : int(0.305 * width)]
+    gate = picture[int(0.11 * height) : int(0.48 * height), int(0.02 * width) : int(0.24 * width)]
     blue, green, red = gate[..., 0], gate[..., 1], gate[..., 2]
     return float(np.mean((green > red + 30) & (green > blue + 20)))
 

@@ -233,7 +233,8 @@ def test_a_waiting_model_leaves_everything_on_the_screen(fake: FakeService, tab:
     fake.sessions = [detail(likeness=LIKENESS)]
     fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING)
     page = tab.open("hold")
-    for name in ("#do-apply", "#outcome", "#figure-latency"):
+    assert page.evaluate("document.documentElement.scrollHeight") == height
+    for name in ("#do-apply", "#outcome", "#gate-reason"):
         box = page.locator(name).bounding_box()
         assert box is not None
         assert box["y"] + box["height"] <= height, f"{name} is cut off"

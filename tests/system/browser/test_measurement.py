@@ -12,6 +12,8 @@ pytestmark = pytest.mark.browser
 
 NONE = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
+LARGE = {"width": 1920, "height": 1080}
+"""A screen with a place for the map."""
 NUMBERS = ("whole", "thorax", "abdomen", "volume", "residual", "coverage")
 
 # Columns of the trace that hold a piece of the signal's line, from the left edge of the plot to now.
@@ -134,6 +136,7 @@ def test_the_map_reports_each_cell_and_states_which_were_not_measured(fake: Fake
     regions = [[1.0 * row - 2.0 for _ in range(8)] for row in range(14)]
     regions[0][0] = None
     fake.mode, fake.sample = "samples", sample(regions_mm=regions)
+    tab.page.set_viewport_size(LARGE)
     page = tab.open("hold")
     box = page.locator("#grid").bounding_box()
     assert box is not None
@@ -151,6 +154,7 @@ def test_the_map_reports_each_cell_and_states_which_were_not_measured(fake: Fake
 def test_the_map_hatches_the_cells_that_the_camera_does_not_see(fake: FakeService, tab: Tab):
     regions = [[5.0] * 8 for _ in range(14)]
     fake.mode, fake.sample = "samples", sample(regions_mm=regions, unseen_cells=[[13, 7]])
+    tab.page.set_viewport_size(LARGE)
     page = tab.open("hold")
     readout = page.locator("#grid-readout")
     expect(readout).to_have_text("hatched: not seen")

@@ -260,6 +260,7 @@ async function lookForSession() {
 }
 
 function follow(view, sample, nowMs) {
+  document.body.dataset.armed = sample?.is_armed ? "yes" : "no";
   if (sample !== null && sample.session_id !== shownSessionId) {
     if (shownSessionId !== null) forgetSession();
     shownSessionId = sample.session_id;
@@ -399,7 +400,7 @@ function drawPanels(nowMs, view, sample) {
   renderTraceValue(sample);
   tables.tend(sample, session, nowMs);
   quality.follow(session?.status === "running" ? session.active_model_id ?? null : null);
-  hideCovered(byId("gate").parentElement);
+  hideCovered(document.querySelector(".room"));
 }
 
 /** The service's time of day now [ms], from its newest message. */

@@ -7,7 +7,7 @@ const ALWAYS = ".gate, .controls, .alarms";
 
 /** @param {HTMLElement} room its panels; call it whenever one may have been opened or closed */
 export function hideCovered(room) {
-  const panels = [...room.children].filter((one) => !one.hidden && one.matches(".panel")).map((element, order) => ({
+  const panels = [...room.querySelectorAll(".panel")].filter((one) => !one.hidden).map((element, order) => ({
     element, order, box: element.getBoundingClientRect(), height: Number(getComputedStyle(element).zIndex) || 0,
   }));
   const isLocked = document.body.dataset.access !== "in";

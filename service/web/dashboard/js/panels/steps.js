@@ -61,6 +61,7 @@ export class Steps {
     const key = JSON.stringify(steps);
     if (key === this.drawn) return;
     this.drawn = key;
+    this.list.style.setProperty("--steps", String(steps.length));
     this.list.replaceChildren(...steps.map(line));
   }
 
@@ -159,7 +160,9 @@ function line({ code, state, text }) {
   mark.setAttribute("aria-hidden", "true");
   const words = part("p", "");
   words.append(part("span", WORDS[state], "unseen"), text);
-  item.append(mark, part("strong", TITLES[code]), words);
+  const name = part("div", "");
+  name.append(mark, part("strong", TITLES[code]));
+  item.append(name, words);
   if (state === "now") item.setAttribute("aria-current", "step");
   return item;
 }
