@@ -74,6 +74,37 @@ def test_the_next_step_is_marked_with_its_button(
     assert page.locator("#steps li[aria-current=step]").count() == 1
 
 
+def test_the_focus_goes_to_the_next_step_s_button_after_an_act(fake: FakeService, tab: Tab):
+    running(fake, has_reference=False)
+    page = tab.open("disarmed")
+    expect(page.locator("#do-reference")).to_be_enabled()
+    page.focus("#do-reference")
+    page.keyboard.press("Enter")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    running(fake, has_reference=True)
+    expect(page.locator("#do-window")).to_be_focused()
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_the_focus_goes_to_no_button_that_acknowledges_and_stays_where_a_person_put_it(
+    fake: FakeService, tab: Tab, elsewhere: bool
+):
+    running(fake, has_reference=False)
+    page = tab.open("disarmed")
+    expect(page.locator("#do-reference")).to_be_enabled()
+    page.focus("#do-reference")
+    page.keyboard.press("Enter")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    if elsewhere:
+        page.focus("#do-setup")
+    fault = {"gate": "fault", "hold_reason": "beam_line_mismatch"}
+    running(fake, has_reference=True, **({} if elsewhere else fault))
+    tab.await_that(lambda: marked(page) in (["do-acknowledge"], ["do-window"]), "the next step is not marked")
+    page.wait_for_timeout(300)
+    focused = page.evaluate("document.activeElement.id")
+    assert focused == ("do-setup" if elsewhere else "")
+
+
 def test_before_the_start_the_steps_lead_to_it(fake: FakeService, tab: Tab):
     fake.sessions[0] |= {"status": "created"}
     page = tab.open("idle")

@@ -20,6 +20,10 @@ import { tr } from "../words/words.js";
 const HALTS = { disarm: "Escape", hold: "F8" };
 const HALT_TITLES = { disarm: tr("controls.holds_the_beam_until_a_person_arms_again"), hold: tr("controls.holds_the_beam_until_a_person_releases_it_th") };
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
+/** Buttons that never get the focus by themselves: a key that is held down would press them. */
+const SIGNED = ["acknowledge", "release", "sign"];
+/** Within this time after an act the next step's button gets the focus [ms]. */
+const GO_ON_MS = 5000;
 const PERMITTING = ["acknowledge", "arm", "release", "sign"];
 /** Actions after which the gate is armed. */
 const ARMS = new Set(["arm", "release"]);
@@ -109,6 +113,7 @@ export class Controls {
     this.outcome = document.getElementById("outcome");
     this.said = { state: "", atMs: -Infinity, action: "" };
     this.asked = {};
+    this.left = null;
     this.setupConfirmed = document.getElementById("setup-confirmed");
     this.setupConfirmed.addEventListener("change", () => this.update(this.context));
     this.keepsReference = document.getElementById("keep-reference");
@@ -180,6 +185,7 @@ export class Controls {
     setText(document.getElementById("reference-proposal"), proposal);
     const move = proposal === "" ? null : roomMoveOf(context.sample);
     setText(button("reference"), move === null ? tr("page.set_reference") : tr(`moved.${move.what}.confirm`, move));
+    this.#goOn();
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? tr("controls.no_running_session") : "");
@@ -223,14 +229,29 @@ export class Controls {
     if (PERMITTING.includes(action) && !this.#isMeant(action, event)) return;
     if (action === "acknowledge" && !this.presses.isConfirmed(event)) return;
     if (action === "release" && isAnothers(this.context) && !this.#isConfirmed(action, CONSIDER_MS)) return;
-    // Focus must not stay on a button whose action has changed.
-    document.activeElement?.blur();
+    this.#leave(action);
     if (action === "arm") {
       this.onArm(this.context.sample.session_id, headOf(this.context));
       return;
     }
     const id = this.context.sample?.session_id ?? this.context.selected.id;
     this.#send(action, id, this.operatorName);
+  }
+
+  /** Focus must not stay on a button whose action has changed: it goes to the next step's, once that is known. */
+  #leave(action) {
+    if (document.activeElement === button(action)) this.left = { action, atMs: performance.now() };
+    document.activeElement?.blur();
+  }
+
+  /** Focus the next step's button after an act, unless the person has gone elsewhere. Never one that permits or signs. */
+  #goOn() {
+    if (this.left === null || this.busy !== null) return;
+    if (document.activeElement !== document.body || performance.now() - this.left.atMs > GO_ON_MS) this.left = null;
+    const next = this.left && document.querySelector(".buttons [data-next=yes]:enabled");
+    if (!next || next === button(this.left.action) || SIGNED.some((one) => next === button(one))) return;
+    this.left = null;
+    next.focus();
   }
 
   /** Whether the click counts; else it is ignored with a message. */
