@@ -10,9 +10,11 @@ from starlette.applications import Starlette
 from starlette.testclient import TestClient
 
 from engine.core.frames import Mover
-from engine.core.gate_state import HoldReason
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.learning_status import LearningEventKind
 from service.core.alarm_table import ALARMS
 from service.web.app import DASHBOARD, LANGUAGE_LIST, language_names, language_route
+from tests.support.documents.audit_routes import audited
 
 LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
 ENGLISH = LANGUAGES["en"]
@@ -22,7 +24,7 @@ CODES = [*HoldReason, *(code for code in ALARMS if code not in set(HoldReason))]
 NAMES = {"Tidegate", "F8", "Esc", "Tab", "Enter", "L", "End", "mm", "s", "OpenNI2 runtime"}
 """Text of the document that is the same in every language: names, keys and units."""
 MADE_OF = {
-    *("action.", "alarm.", "checks.", "hold.", "lamp.", "moved.", "patient.", "reason.unknown"),
+    *("action.", "alarm.", "checks.", "event.", "hold.", "lamp.", "moved.", "patient.", "reason.unknown"),
     *("signal.", "sound.", "status.", "tables.kind.", "to."),
 }
 """Keys that the scripts put together from a code."""
@@ -60,6 +62,19 @@ def test_english_states_of_an_alarm_that_is_no_hold_what_the_controller_states(c
 @pytest.mark.parametrize("mover", Mover)
 def test_every_mover_has_its_sentence_its_button_and_what_comes_first(name: str, mover: Mover):
     assert all(f"moved.{mover}.{part}" in LANGUAGES[name] for part in ("what", "confirm", "first"))
+
+
+SEEN = {action for (_, path), action in audited().items() if path.startswith("/api/v1/sessions/{")}
+"""The actions of a session, which stand among its events."""
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_every_event_of_a_session_has_its_sentence(name: str):
+    shown = {action for action in SEEN if action.split(".")[0] in {"session", "model"}}
+    shown |= {f"model.{kind}" for kind in LearningEventKind}
+    shown |= {f"to.{state}" for state in GateState if state is not GateState.DWELL}
+    assert len(shown) > 20
+    assert {one for one in shown if f"event.{one}" not in LANGUAGES[name]} == set()
 
 
 def test_german_sentences_of_reasons_are_not_the_english_ones():

@@ -80,7 +80,9 @@ def test_the_fake_controller_speaks_the_real_contract():
 def test_every_audit_row_shows_what_who_and_why(fake: FakeService, tab: Tab):
     row = {"at": "2026-11-21T03:00:00Z", "session_id": SESSION_ID, "previous_hash": "", "hash": "", "outcome": "done"}
     moved = {"from_state": "beam_on", "to_state": "hold", "reason": "outside_window", "operator": None, "detail": ""}
+    dwelt = moved | {"from_state": "hold", "to_state": "dwell", "reason": "dwell"}
     fake.audit = [
+        row | {"sequence": 5, "actor": "tidegate", "action": "gate.transition", "detail": dwelt},
         row | {"sequence": 4, "actor": "tidegate", "action": "gate.transition", "detail": moved},
         row | {"sequence": 3, "actor": "Ada L.", "action": "session.arm", "detail": {}},
         row | {"sequence": 2, "actor": "Ada L.", "action": "session.arm", "outcome": "requested", "detail": {}},
@@ -97,8 +99,8 @@ def test_every_audit_row_shows_what_who_and_why(fake: FakeService, tab: Tab):
     page = tab.open("hold")
     rows = page.locator("#events li")
     expect(rows).to_have_count(3)
-    expect(rows.nth(0)).to_contain_text("hold")
-    expect(rows.nth(0)).to_contain_text("outside window")
-    expect(rows.nth(1)).to_contain_text("by Ada L.")
-    expect(rows.nth(2)).to_contain_text("arm: refused")
+    expect(rows.nth(0)).to_contain_text("Beam held")
+    expect(rows.nth(0)).to_contain_text("Outside the window")
+    expect(rows.nth(1)).to_contain_text("Armedby Ada L.")
+    expect(rows.nth(2)).to_contain_text("Armed: refused")
     expect(rows.nth(2)).to_contain_text("command refused")

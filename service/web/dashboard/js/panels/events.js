@@ -1,7 +1,7 @@
 /** The events panel: the newest rows of the session's audit log, with actor and reason. */
 
 import { listAudit } from "../api.js";
-import { tr } from "../words/words.js";
+import { has, tr } from "../words/words.js";
 
 /** The actor of events that the system itself caused. */
 const SYSTEM = "tidegate";
@@ -58,8 +58,8 @@ export class EventList {
     const newest = entries.length > 0 ? `${entries[0].sequence} ${entries.length}` : "";
     if (newest === this.newest) return;
     this.newest = newest;
-    // A request and its effect are shown as one event; the log has a row for each.
-    this.list.replaceChildren(...entries.filter((entry) => entry.outcome !== "requested").map(row));
+    // A request and its effect are shown as one event, and the dwell before the beam as none; the log has a row for each.
+    this.list.replaceChildren(...entries.filter((entry) => entry.outcome !== "requested" && stateAfter(entry) !== "dwell").map(row));
     this.#sayEmpty(entries.length > 0 ? "" : tr("events.no_events_yet"));
   }
 
@@ -69,26 +69,37 @@ export class EventList {
   }
 }
 
+/** One line: what happened, why or by whom. */
 function row(entry) {
   const item = document.createElement("li");
   item.dataset.outcome = entry.outcome;
-  item.dataset.state = entry.detail?.to_state ?? entry.detail?.to ?? "";
-  item.append(part("time", clock(entry.at)), part("strong", title(entry)), part("span", reason(entry)));
+  item.dataset.state = stateAfter(entry) ?? "";
+  item.append(part("time", clock(entry.at)), part("strong", sentence(entry)), part("span", [reason(entry), by(entry)].filter(Boolean).join(" · ")));
   return item;
 }
 
-function title(entry) {
-  const to = entry.detail?.to_state ?? entry.detail?.to;
-  if (typeof to === "string") return to.replaceAll("_", " ");
-  const words = String(entry.action).replaceAll(/[._]/g, " ");
-  return entry.outcome === "done" ? words : `${words}: ${entry.outcome}`;
+/** The gate's state after a transition; undefined for any other event. */
+function stateAfter(entry) {
+  return entry.detail?.to_state ?? entry.detail?.to;
 }
 
+function sentence(entry) {
+  const to = stateAfter(entry);
+  const key = typeof to === "string" ? `event.to.${to}` : `event.${entry.action}`;
+  const words = has(key) ? tr(key) : String(to ?? entry.action).replaceAll(/[._]/g, " ");
+  return entry.outcome === "done" ? words : `${words}: ${has(`event.outcome.${entry.outcome}`) ? tr(`event.outcome.${entry.outcome}`) : entry.outcome}`;
+}
+
+/** Why: the sentence of a code of the gate, else what the service says. */
 function reason(entry) {
   const detail = entry.detail ?? {};
   const why = detail.reason ?? detail.code ?? detail.detail ?? "";
-  const isPerson = entry.actor !== SYSTEM;
-  return [typeof why === "string" ? why.replaceAll("_", " ") : "", isPerson ? `by ${entry.actor}` : ""].filter(Boolean).join(" · ");
+  if (typeof why !== "string" || stateAfter(entry) === "beam_on") return "";
+  return has(`hold.${why}.what`) ? tr(`hold.${why}.what`) : why.replaceAll("_", " ");
+}
+
+function by(entry) {
+  return entry.actor === SYSTEM ? "" : tr("event.by", { actor: entry.actor });
 }
 
 function clock(at) {
