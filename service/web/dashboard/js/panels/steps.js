@@ -162,6 +162,7 @@ function line({ code, state, text }) {
   words.append(part("span", WORDS[state], "unseen"), text);
   const name = part("div", "");
   name.append(mark, part("strong", TITLES[code]));
+  name.title = text;
   item.append(name, words);
   if (state === "now") item.setAttribute("aria-current", "step");
   return item;
