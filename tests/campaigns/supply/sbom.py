@@ -80,8 +80,9 @@ def _vendored() -> list[dict[str, Any]]:
     """What the page brings along, with the checksums of its files."""
     parts = []
     for folder in sorted(path for path in VENDOR.iterdir() if path.is_dir()):
-        version = (folder / "VERSION").read_text(encoding="utf-8").strip()
-        purl = f"pkg:npm/{folder.name}@{version}"
+        version, purl, licence = (
+            (folder / name).read_text(encoding="utf-8").strip() for name in ("VERSION", "PURL", "SPDX")
+        )
         lines = (folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
         files = [
             {"type": "file", "name": name, "hashes": [{"alg": "SHA-256", "content": sha256}]}
@@ -89,7 +90,7 @@ def _vendored() -> list[dict[str, Any]]:
         ]
         parts.append(
             {"type": "library", "bom-ref": purl, "name": folder.name, "version": version, "purl": purl}
-            | {"licenses": [{"license": {"id": "MIT"}}], "components": files}
+            | {"licenses": [{"license": {"id": licence}}], "components": files}
         )
     return parts
 

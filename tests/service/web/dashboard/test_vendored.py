@@ -10,7 +10,7 @@ import service
 from tests.support.repository import ROOT
 
 VENDOR = Path(service.__file__).parent / "web" / "dashboard" / "vendor"
-DESCRIPTIONS = {"VERSION", "SHA256SUMS"}
+DESCRIPTIONS = {"VERSION", "PURL", "SPDX", "SHA256SUMS"}
 FOLDERS = sorted(path for path in VENDOR.iterdir() if path.is_dir())
 
 
@@ -20,7 +20,7 @@ def sums(folder: Path) -> dict[str, str]:
 
 
 def test_there_is_something_to_check():
-    assert [folder.name for folder in FOLDERS] == ["uplot"]
+    assert [folder.name for folder in FOLDERS] == ["inter", "uplot"]
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
@@ -35,15 +35,26 @@ def test_every_file_is_the_one_of_its_checksum_and_none_is_without(folder: Path)
 def test_version_and_checksums_are_in_the_bill_of_materials(folder: Path):
     version = (folder / "VERSION").read_text(encoding="utf-8").strip()
     bill = json.loads((ROOT / "docker/sbom.cdx.json").read_text(encoding="utf-8"))
-    (part,) = [one for one in bill["components"] if one["purl"] == f"pkg:npm/{folder.name}@{version}"]
+    purl, licence = ((folder / name).read_text(encoding="utf-8").strip() for name in ("PURL", "SPDX"))
+    assert purl.endswith(f"/{folder.name}@{version}")
+    (part,) = [one for one in bill["components"] if one["purl"] == purl]
+    assert part["licenses"] == [{"license": {"id": licence}}]
     assert {one["name"]: one["hashes"][0]["content"] for one in part["components"]} == sums(folder)
 
 
 def test_uplot_states_its_version_and_its_licence_itself():
-    (folder,) = FOLDERS
+    folder = VENDOR / "uplot"
     version = (folder / "VERSION").read_text(encoding="utf-8").strip()
     assert "MIT License" in (folder / "LICENSE").read_text(encoding="utf-8")
     assert f"(v{version})" in (folder / "uPlot.esm.js").read_text(encoding="utf-8")[:600]
+
+
+def test_the_font_is_under_its_licence_and_the_page_s_own():
+    assert "SIL OPEN FONT LICENSE" in (VENDOR / "inter" / "LICENSE").read_text(encoding="utf-8")
+    styles = (VENDOR.parent / "css" / "page.css").read_text(encoding="utf-8")
+    for face in sorted((VENDOR / "inter").glob("*.woff2")):
+        assert face.read_bytes()[:4] == b"wOF2"
+        assert f"../vendor/inter/{face.name}" in styles
 
 
 def test_the_page_needs_no_other_origin_and_no_inline_style_or_script():

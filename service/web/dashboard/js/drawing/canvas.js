@@ -23,8 +23,9 @@ export function prepare(canvas) {
   return { context, width, height };
 }
 
+/** The page's font; nothing is drawn smaller than 13 px. */
 export function font(sizePx, weight = 400) {
-  return `${weight} ${sizePx}px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif`;
+  return `${weight} ${Math.max(sizePx, 13)}px Inter, system-ui, "DejaVu Sans", sans-serif`;
 }
 
 const hatches = new Map();
