@@ -233,6 +233,7 @@ def test_a_waiting_model_leaves_everything_on_the_screen(fake: FakeService, tab:
     fake.sessions = [detail(likeness=LIKENESS)]
     fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING)
     page = tab.open("hold")
+    expect(page.locator("#do-apply")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollHeight") == height
     for name in ("#do-apply", "#outcome", "#gate-reason"):
         box = page.locator(name).bounding_box()
