@@ -4,6 +4,8 @@
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -101,6 +103,25 @@ def _judged(
     return tables
 
 
+@contextmanager
+def _refusing(command: str, out: Path) -> Iterator[None]:
+    """End the command with one line where its input is refused or ``out`` cannot be written."""
+    try:
+        yield
+    except TidegateError as error:
+        raise refused(f"evaluate {command}", error) from error
+    except OSError as error:
+        raise refused(f"evaluate {command}", f"{out} cannot be written ({error.strerror or error})") from error
+
+
+def _write(table: "Table", out: Path) -> None:
+    """Write a table to its CSV file in ``out``, and print it."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_whole(out / f"{table.name}.csv", table.to_csv().encode())
+    print_tables([table], WIDTH)
+    say(f"Written to {out / f'{table.name}.csv'}")
+
+
 def ablations(
     out: Annotated[Path, typer.Option(help="Folder for ablations.csv.")],
     work: Annotated[
@@ -118,7 +139,7 @@ def ablations(
     from engine.lab.evaluation.runs.ablations import ablate, runs, table
     from engine.lab.evaluation.runs.datasets import SECONDS, check_plan
 
-    try:
+    with _refusing("ablations", out):
         check_plan(seed, SECONDS)
         planned, found = runs(seed, sensor, tuple(scenario or ())), []
         with frame_bar() as bar:
@@ -126,15 +147,7 @@ def ablations(
                 task = bar.add_task(f"{run.name}, {run.scenario}", total=run.frames)
                 folder = (work or out / "work") / run.name
                 found.append(ablate(run, folder, partial(advance, bar, task)))
-        shown = table(found)
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "ablations.csv", shown.to_csv().encode())
-    except TidegateError as error:
-        raise refused("evaluate ablations", error) from error
-    except OSError as error:
-        raise refused("evaluate ablations", f"{out} cannot be written ({error.strerror or error})") from error
-    print_tables([shown])
-    say(f"Written to {out / 'ablations.csv'}")
+        _write(table(found), out)
 
 
 def budget(
@@ -153,27 +166,18 @@ def budget(
     from engine.lab.evaluation.runs.datasets import SECONDS, check_plan
     from engine.lab.phantom.sensor import SENSORS
 
-    try:
+    with _refusing("budget", out):
         check_plan(seed, SECONDS)
         if sensor not in SENSORS:
             raise InvalidValueError("sensor", sensor, "one of " + ", ".join(SENSORS))
         planned = runs(seed, sensor, tuple(scenario or ()))
-        if not planned:
-            raise InvalidValueError(
-                "scenario", ", ".join(scenario or ()), "regular, irregular, shift, dibh, isovolume or drift"
-            )
+        for name in scenario or ():
+            if name not in {run.scenario for run in planned}:
+                raise InvalidValueError("scenario", name, "regular, irregular, shift, dibh, isovolume or drift")
         found = []
         with frame_bar() as bar:
             for run in planned:
                 task = bar.add_task(f"{run.name}, {run.scenario}", total=len(ROWS))
                 folder = (work or out / "work") / f"{run.name}-budget"
                 found.append(split(run, folder, partial(_count, bar, task)))
-        shown = table(found)
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "budget.csv", shown.to_csv().encode())
-    except TidegateError as error:
-        raise refused("evaluate budget", error) from error
-    except OSError as error:
-        raise refused("evaluate budget", f"{out} cannot be written ({error.strerror or error})") from error
-    print_tables([shown], WIDTH)
-    say(f"Written to {out / 'budget.csv'}")
+        _write(table(found), out)

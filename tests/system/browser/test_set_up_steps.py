@@ -74,13 +74,19 @@ def test_the_next_step_is_marked_with_its_button(
     assert page.locator("#steps li[aria-current=step]").count() == 1
 
 
-def test_the_focus_goes_to_the_next_step_s_button_after_an_act(fake: FakeService, tab: Tab):
+def reference_set_by_key(fake: FakeService, tab: Tab) -> Page:
+    """Set the reference with Enter; return the page, which does not know yet that there is one."""
     running(fake, has_reference=False)
     page = tab.open("disarmed")
     expect(page.locator("#do-reference")).to_be_enabled()
     page.focus("#do-reference")
     page.keyboard.press("Enter")
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    return page
+
+
+def test_the_focus_goes_to_the_next_step_s_button_after_an_act(fake: FakeService, tab: Tab):
+    page = reference_set_by_key(fake, tab)
     running(fake, has_reference=True)
     expect(page.locator("#do-window")).to_be_focused()
 
@@ -89,12 +95,7 @@ def test_the_focus_goes_to_the_next_step_s_button_after_an_act(fake: FakeService
 def test_the_focus_goes_to_no_button_that_acknowledges_and_stays_where_a_person_put_it(
     fake: FakeService, tab: Tab, elsewhere: bool
 ):
-    running(fake, has_reference=False)
-    page = tab.open("disarmed")
-    expect(page.locator("#do-reference")).to_be_enabled()
-    page.focus("#do-reference")
-    page.keyboard.press("Enter")
-    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    page = reference_set_by_key(fake, tab)
     if elsewhere:
         page.focus("#do-setup")
     fault = {"gate": "fault", "hold_reason": "beam_line_mismatch"}

@@ -19,11 +19,11 @@ import { tr } from "../words/words.js";
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
 const HALTS = { disarm: "Escape", hold: "F8" };
 const HALT_TITLES = { disarm: tr("controls.holds_the_beam_until_a_person_arms_again"), hold: tr("controls.holds_the_beam_until_a_person_releases_it_th") };
-/** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
-/** Buttons that never get the focus by themselves: a key that is held down would press them. */
-const SIGNED = ["acknowledge", "release", "sign"];
+/** Buttons that never get the focus by themselves: each needs a decision of its own. */
+const DECISIONS = ["acknowledge", "release", "sign"];
 /** Within this time after an act the next step's button gets the focus [ms]. */
 const GO_ON_MS = 5000;
+/** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
 const PERMITTING = ["acknowledge", "arm", "release", "sign"];
 /** Actions after which the gate is armed. */
 const ARMS = new Set(["arm", "release"]);
@@ -244,12 +244,12 @@ export class Controls {
     document.activeElement?.blur();
   }
 
-  /** Focus the next step's button after an act, unless the person has gone elsewhere. Never one that permits or signs. */
+  /** Focus the next step's button after an act, unless the person has gone elsewhere. Never one that is a decision. */
   #goOn() {
     if (this.left === null || this.busy !== null) return;
     if (document.activeElement !== document.body || performance.now() - this.left.atMs > GO_ON_MS) this.left = null;
     const next = this.left && document.querySelector(".buttons [data-next=yes]:enabled");
-    if (!next || next === button(this.left.action) || SIGNED.some((one) => next === button(one))) return;
+    if (!next || next === button(this.left.action) || DECISIONS.some((one) => next === button(one))) return;
     this.left = null;
     next.focus();
   }

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from engine.lab.evaluation.runs import budget
 from engine.lab.evaluation.runs.budget import PERFECT, RECORDED, ROWS, TRUE_MARKERS, Budget, runs, split, table
 from engine.lab.phantom.recording import load_truth
+from service.cli.evaluate.command import evaluate
 
 CELLS = (9, 35, 20)
 
@@ -52,3 +54,19 @@ def test_the_table_has_a_row_a_cause_and_three_columns_a_recording():
     assert len(found.columns) == 7
     assert found.rows[0] == (RECORDED, 0.0, 1.0, 2.0, 100.0, 101.0, 102.0)
     assert found.rows[-1][0] == TRUE_MARKERS
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "field"),
+    [
+        ("budget", ["--sensor", "lidar"], "sensor is 'lidar'"),
+        ("budget", ["--scenario", "regular", "--scenario", "cough"], "scenario is 'cough'"),
+        ("budget", ["--seed", "-1"], "seed is -1"),
+        ("ablations", ["--scenario", "cough"], "scenario is 'cough'"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, command, arguments, field):
+    result = CliRunner().invoke(evaluate, [command, "--out", str(tmp_path / "out"), *arguments])
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert result.stderr.startswith(f"tidegate evaluate {command}: {field}")
+    assert not (tmp_path / "out").exists()
