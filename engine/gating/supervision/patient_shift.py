@@ -69,6 +69,7 @@ class PatientShift:
     def reset(self) -> None:
         """Use the next measured frame as the position at the reference."""
         self._at_reference = None
+        self.movement = None
         self._travel.clear()
 
     @property

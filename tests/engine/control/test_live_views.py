@@ -7,7 +7,7 @@ import numpy as np
 
 from engine.beam.beam_on import BeamOnState
 from engine.control.live_views import BACK_DETAIL
-from engine.core.commands import Acknowledge, Disarm
+from engine.core.commands import Acknowledge, Disarm, SetReference
 from engine.core.errors import SourceAwayError
 from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
@@ -129,3 +129,23 @@ def test_a_view_of_a_frame_that_was_not_measured_shows_no_movement():
     bench.source.script += [note] * 8
     bench.run()
     assert [seen[hidden + offset] for offset in (-1, 0, 1)] == [False, True, False]
+
+
+def test_a_camera_that_goes_silent_at_a_new_reference_ends_nothing():
+    """No frame has been compared with it yet: nothing is known of the movement."""
+    shown = []
+    bench = armed_bench([good] * 6)
+    lying_at(bench, 0, 0.0)
+
+    def note():
+        shown.append(bench.loop.status.view.marker_travel_mm)
+
+    def reference_and_silence(source, timeout_s):
+        note()
+        bench.ask(SetReference(operator="ada", reason="a test"))()
+        return silent(source, timeout_s)
+
+    bench.source.script += [reference_and_silence, silent, after(note), good]
+    bench.run()
+    assert bench.loop.status.error is None
+    assert shown == [0.0, None]

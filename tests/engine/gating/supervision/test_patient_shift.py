@@ -288,3 +288,10 @@ def test_a_travel_ends_ten_seconds_later_and_with_a_new_reference():
     watched.reset()
     assert watched.check(seen(FLAT_MM), has_reference=True, timestamp_us=0, is_on_part=True) is None
     assert watched.travel_mm is None or watched.travel_mm == 0.0
+
+
+def test_no_movement_is_known_between_a_new_reference_and_its_first_frame():
+    watched, _ = sliding(5.0)
+    watched.reset()
+    assert watched.movement is None
+    assert watched.travel_mm is None
