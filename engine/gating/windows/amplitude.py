@@ -123,7 +123,9 @@ class AmplitudeWindow:
         value = signal_of(self.choice, frame_input.motion)
         if self.contains(value, was_inside=state.is_inside):
             return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
-        detail = f"{value:.2f} {self.unit} is not inside {self.lower:g} to {self.upper:g} {self.unit}"
+        digits = 3 if self.unit is Unit.L else 2
+        edges = f"{self.lower:.{digits}f} to {self.upper:.{digits}f} {self.unit}"
+        detail = f"{value:.{digits}f} {self.unit} is not inside {edges}"
         has_left = value < self.lower or value > self.upper
         return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=has_left)
 

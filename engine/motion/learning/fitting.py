@@ -1,9 +1,10 @@
 """Fits a motion model to training frames (article, section 4.3.2, equations 1 to 5).
 
-Three deviations from the article, with their effect measured in docs/adr/0004: components are smoothed as far as noise
-and the sensor's fixed errors require (:mod:`engine.motion.learning.shape_smoothing`), since a chest moves smoothly and
-noise in a component reduces the measured motion; frames are not filtered by the bilateral filter, which had no benefit;
-and the sensor's noise is estimated, which later sets the weight of the readings in the projection.
+Four deviations from the article, with their effect measured in docs/adr/0004 and 0049: as many components are kept as
+are above noise, in place of three; components are smoothed as far as noise and the sensor's fixed errors require
+(:mod:`engine.motion.learning.shape_smoothing`), since a chest moves smoothly and noise in a component reduces the
+measured motion; frames are not filtered by the bilateral filter, which had no benefit; and the sensor's noise is
+estimated, which later sets the weight of the readings in the projection.
 """
 
 from dataclasses import dataclass
@@ -18,9 +19,8 @@ from engine.motion.learning.shape_smoothing import fill_unknown, smooth_shapes
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
-ARTICLE_COMPONENTS = 3
-# A further component counts if its variance is this many times that of noise: others add more noise than motion.
-MIN_OVER_NOISE = 3.0
+# A component counts if its variance is this many times that of noise (ADR 0049): others add more noise than motion.
+MIN_OVER_NOISE = 2.3
 # What a body does at most: no breathing was seen with more than four.
 WAYS_TO_MOVE = 6
 MAX_FILLINGS = 8
@@ -50,7 +50,7 @@ def fit(
         Frames on the grid, shape (n, 350, 200) or thinned by a stride, float32 [mm] and bool. Holes are filled from the
         components, iteratively.
     components
-        Largest number of components; those behind the third that noise explains are left out.
+        Largest number of components; those that noise explains are left out.
     cycles, seconds
         Breathing cycles in the set, and its length [s]; stored with the model.
 
@@ -118,12 +118,12 @@ def _principal_components(
 
 
 def _above_noise(eigenvalues: FloatArray, most: int) -> int:
-    """Count the components to keep: the article's three, and what is motion beyond them, as in an isovolume manoeuvre.
+    """Count the components that are motion: two in quiet breathing, four in an isovolume manoeuvre; one at least.
 
     What lies behind all of a body's ways to move, and behind what may be kept, is noise.
     """
     noise = eigenvalues[min(max(most, WAYS_TO_MOVE), len(eigenvalues) - 1)]
-    return max(int(np.count_nonzero(eigenvalues[:most] > MIN_OVER_NOISE * noise)), min(ARTICLE_COMPONENTS, most))
+    return max(int(np.count_nonzero(eigenvalues[:most] > MIN_OVER_NOISE * noise)), 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -29,7 +29,7 @@ class TrainingSettings:
     max_frames
         Largest number of frames kept; a longer set is thinned evenly.
     components
-        Largest number of principal components; behind the third, those that noise explains are left out.
+        Largest number of principal components; those that noise explains are left out.
     refit_until_s
         A model learned in the session is refitted each time the stretch without movement is twice as long as the one
         it was learned from, until the stretch is this long [s]; 0 for never.

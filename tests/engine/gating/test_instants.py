@@ -286,7 +286,7 @@ def test_a_frame_outside_is_reported_with_what_it_was_and_the_window():
     gate = stream.feed(replace(stream.upcoming(), motion=motion_of(3.2)))
     assert (gate.reason, gate.detail) == (
         HoldReason.OUTSIDE_WINDOW,
-        "3.20 mm is not inside -1 to 3 mm",
+        "3.20 mm is not inside -1.00 to 3.00 mm",
     )
 
 

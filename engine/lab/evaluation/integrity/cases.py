@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 from engine.core.errors import InvalidValueError
 from engine.core.frames import LostReason
@@ -101,7 +102,7 @@ def cases(*, is_slow: bool = False) -> list[Case]:
     )
     slow: tuple[tuple[str, tuple[Callable[[], Iterator[Case]], ...]], ...] = (
         ("P1", (_slow_moves,)),
-        ("S13", (_slow_camera_moves,)),
+        ("S13", (partial(_slow_moves, is_camera=True),)),
         ("S2", (_slow_halves, _slow_covers)),
     )
     return [
@@ -240,34 +241,13 @@ def _camera_moves() -> Iterator[Case]:
     yield replace(_move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True), causes=(*CAMERA, *MOVED))
 
 
-def _slow_moves() -> Iterator[Case]:
-    for size, false in _slow():
-        yield Case(
-            kind=f"body {size[0]}",
-            size=size[1],
-            falsification=_false(body=false),
-            seconds=SLOW_S,
-            is_rigid=True,
-            causes=MOVED,
-        )
-
-
-def _slow_camera_moves() -> Iterator[Case]:
-    for size, false in _slow():
-        yield Case(
-            kind=f"camera {size[0]}",
-            size=size[1],
-            falsification=_false(camera=false),
-            seconds=SLOW_S,
-            is_rigid=True,
-            causes=CAMERA,
-        )
-
-
-def _slow() -> Iterator[tuple[tuple[str, str], Move]]:
-    """Yield what happens and how far, and the move."""
-    yield ("lowered", f"4 in {SLOW_S:g} s"), Move(up_mm=-4.0, over_s=SLOW_S, steps=40)
-    yield ("tilted", f"2 in {SLOW_S:g} s"), Move(tilt_deg=2.0, over_s=SLOW_S, steps=40)
+def _slow_moves(*, is_camera: bool = False) -> Iterator[Case]:
+    for what, move in (
+        ("lowered", Move(up_mm=-4.0, over_s=SLOW_S, steps=40)),
+        ("tilted", Move(tilt_deg=2.0, over_s=SLOW_S, steps=40)),
+    ):
+        far = f"{abs(move.up_mm or move.tilt_deg):g} in {SLOW_S:g} s"
+        yield replace(_move(f"{'camera' if is_camera else 'body'} {what}", far, move, is_camera=is_camera), seconds=SLOW_S)
 
 
 def _move(kind: str, size: str, move: Move, *, is_camera: bool = False) -> Case:

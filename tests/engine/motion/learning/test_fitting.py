@@ -91,8 +91,8 @@ def moving_in(ways, noise_mm=0.8):
 
 
 @pytest.mark.parametrize(("ways", "noise_mm"), [(1, 0.8), (2, 0.8), (4, 0.8), (6, 0.8), (4, 6.0)])
-def test_three_components_are_kept_and_one_for_each_further_way_the_body_moves(ways, noise_mm):
-    assert len(learn(*moving_in(ways, noise_mm), components=6).components) == max(ways, 3)
+def test_one_component_is_kept_for_each_way_the_body_moves(ways, noise_mm):
+    assert len(learn(*moving_in(ways, noise_mm), components=6).components) == ways
 
 
 def test_no_more_components_are_kept_than_the_setting_allows():
