@@ -637,15 +637,27 @@ class Plan(TypedDict):
     sop_instance_uid: str
 
 
+class PlanLastSession(TypedDict):
+    """The newest session of a plan's patient and label that was started."""
+
+    fraction_number: int | None
+    id: str
+    started_at: str
+    status: Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+
+
 class PlanSummary(TypedDict):
-    """A plan in a list."""
+    """A plan in a list, with what was done of it."""
 
     created_at: str
+    fractions_planned: int | None
     gating: Literal["not_stated", "none", "breath_hold", "gating", "unknown", "mixed", "other"]
     id: str
     imported_by: str
     kind: Literal["RT Plan", "RT Ion Plan"]
     label: str
+    last_session: PlanLastSession | None
+    next_fraction: int
     patient_reference: str
     sop_instance_uid: str
 
@@ -1766,9 +1778,12 @@ class TidegateClient:
             "/api/v1/plans", Plan, dicom, media_type=media_type, query=query, idempotency_key=idempotency_key
         )
 
-    def plans(self, *, patient_reference: str | None = None, label: str | None = None) -> Iterator["PlanSummary"]:
-        """List the plans, newest first."""
-        return self._pages("/api/v1/plans", PlanPage, {"patient_reference": patient_reference, "label": label})
+    def plans(
+        self, *, patient_reference: str | None = None, label: str | None = None, search: str | None = None
+    ) -> Iterator["PlanSummary"]:
+        """List the plans, newest first, with what was done of each."""
+        query = {"patient_reference": patient_reference, "label": label, "search": search}
+        return self._pages("/api/v1/plans", PlanPage, query)
 
     def read_plan(self, plan_id: str) -> "Plan":
         """Return a plan: fractions, beams, prescribed breathing technique."""
@@ -1793,11 +1808,12 @@ class TidegateClient:
         status: str | None = None,
         patient_reference: str | None = None,
         plan_id: str | None = None,
+        search: str | None = None,
         since: str | None = None,
         until: str | None = None,
     ) -> Iterator["Session"]:
         """List the sessions, newest first; times are RFC 3339."""
-        query = {"status": status, "patient_reference": patient_reference, "plan_id": plan_id}
+        query = {"status": status, "patient_reference": patient_reference, "plan_id": plan_id, "search": search}
         return self._pages("/api/v1/sessions", SessionPage, {**query, "since": since, "until": until})
 
     def read_session(self, session_id: str) -> "SessionDetail":

@@ -6,13 +6,26 @@ from datetime import datetime
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionFilter:
-    """Filter of sessions; `since` and `until` apply to the time of creation."""
+    """Filter of sessions; `since` and `until` apply to the time of creation.
+
+    `search` is part of the patient's reference, the plan's id or the fraction's.
+    """
 
     status: str | None = None
     patient_reference: str | None = None
     plan_id: str | None = None
+    search: str | None = None
     since: datetime | None = None
     until: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanFilter:
+    """Filter of plans; `search` is part of the patient's reference or of the label."""
+
+    patient_reference: str | None = None
+    label: str | None = None
+    search: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,4 +55,5 @@ class QaRunFilter:
     verdict: str | None = None
 
 
-ALL_SESSIONS, ALL_ROWS, ALL_TRANSITIONS, ALL_RUNS = SessionFilter(), AuditFilter(), TransitionFilter(), QaRunFilter()
+ALL_SESSIONS, ALL_PLANS, ALL_ROWS = SessionFilter(), PlanFilter(), AuditFilter()
+ALL_TRANSITIONS, ALL_RUNS = TransitionFilter(), QaRunFilter()

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import AwareDatetime, ConfigDict, Field
 
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request
-from service.core.schemas.sessions import CONTINUES, HEAD_WORDS, HeadSide, Regions, Session, Source
+from service.core.schemas.sessions import CONTINUES, HEAD_WORDS, HeadSide, Regions, Session, SessionStatus, Source
 from service.core.schemas.windows import Window
 
 PlanKind = Literal["RT Plan", "RT Ion Plan"]
@@ -111,8 +111,17 @@ class Plan(RtPlan):
     )
 
 
+class PlanLastSession(Answer):
+    """The newest session of a plan's patient and label that was started."""
+
+    id: Identifier
+    status: SessionStatus
+    fraction_number: int | None
+    started_at: AwareDatetime
+
+
 class PlanSummary(Answer):
-    """A plan in a list."""
+    """A plan in a list, with what was done of it."""
 
     id: Identifier
     kind: PlanKind
@@ -122,6 +131,9 @@ class PlanSummary(Answer):
     gating: Prescribed
     imported_by: str
     created_at: AwareDatetime
+    fractions_planned: int | None = Field(description="Of its largest fraction group; null if the file has none")
+    next_fraction: int = Field(description="One more than the highest fraction number that was started", examples=[3])
+    last_session: PlanLastSession | None
 
 
 class PlanPage(Answer):

@@ -11,6 +11,7 @@ import hmac
 import json
 import threading
 import uuid
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -19,7 +20,8 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from service.core.errors import NotFoundError
-from service.core.schemas.plans import Plan, PlanContradiction, PlanPage, PlanSummary, RtPlan
+from service.core.list_filters import ALL_PLANS, PlanFilter
+from service.core.schemas.plans import Plan, PlanContradiction, PlanLastSession, PlanPage, PlanSummary, RtPlan
 from service.core.settings.settings import Settings
 from service.planning.rt_plan.errors import PlanBusyError, PlanConflictError
 from service.planning.rt_plan.reading import read_plan
@@ -30,7 +32,7 @@ from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
-from service.storage.database.tables import PlanContradictionRow, PlanRow
+from service.storage.database.tables import PlanContradictionRow, PlanRow, SessionRow
 
 ACTION, CONTRADICTED = "plan.import", "plan.contradicted"
 REJECTED = "REJECTED"
@@ -89,10 +91,10 @@ class PlanRepository:
                 raise _conflict(plan, differing)
             return IdempotentAnswer(answer=answer, is_replay=is_known)
 
-    def page(self, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
+    def page(self, cursor: str | None, limit: int, wanted: PlanFilter = ALL_PLANS) -> PlanPage:
         """List plans, newest first."""
         with self._database.read() as db:
-            return page(db, cursor, limit, patient_reference=patient_reference, label=label)
+            return page(db, cursor, limit, wanted)
 
     def detail(self, plan_id: str) -> Plan:
         """Return one plan; raise NotFoundError if there is none."""
@@ -228,16 +230,34 @@ def has_positions(row: PlanRow) -> bool:
     return all("position" in setup for setup in json.loads(row.document)["setups"])
 
 
-def page(db: Session, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
-    """List plans, newest first, optionally of one patient or one label."""
-    filters: Sequence[ColumnElement[bool]] = [
-        column == value
-        for column, value in ((PlanRow.patient_reference, patient_reference), (PlanRow.label, label))
-        if value is not None
-    ]
+def page(db: Session, cursor: str | None, limit: int, wanted: PlanFilter = ALL_PLANS) -> PlanPage:
+    """List plans, newest first, with what was done of each."""
+    named_by = ((PlanRow.patient_reference, wanted.patient_reference), (PlanRow.label, wanted.label))
+    filters: list[ColumnElement[bool]] = [column == value for column, value in named_by if value is not None]
+    filters += queries.containing(wanted.search, PlanRow.patient_reference, PlanRow.label)
     rows, next_cursor = queries.newest_first(db, PlanRow, cursor, limit, filters)
-    return PlanPage(items=[_summary(row) for row in rows], next_cursor=next_cursor)
+    done = _done(db, {row.patient_reference for row in rows})
+    return PlanPage(
+        items=[_summary(row, done.get((row.patient_reference, row.label), [])) for row in rows], next_cursor=next_cursor
+    )
 
 
-def _summary(row: PlanRow) -> PlanSummary:
-    return PlanSummary.model_validate({name: getattr(row, name) for name in COLUMNS})
+def _done(db: Session, patients: set[str]) -> dict[tuple[str, str], list[SessionRow]]:
+    """Return the sessions of these patients that were started, by patient and plan, the newest first."""
+    query = select(SessionRow).where(SessionRow.patient_reference.in_(patients), SessionRow.started_at.is_not(None))
+    found: dict[tuple[str, str], list[SessionRow]] = defaultdict(list)
+    for row in db.scalars(query.order_by(SessionRow.started_at.desc(), SessionRow.id)):
+        found[row.patient_reference, row.plan_id].append(row)
+    return found
+
+
+def _summary(row: PlanRow, done: Sequence[SessionRow]) -> PlanSummary:
+    planned = [one.fractions_planned for one in content(row).fraction_groups if one.fractions_planned is not None]
+    return PlanSummary.model_validate(
+        {name: getattr(row, name) for name in COLUMNS}
+        | {
+            "fractions_planned": max(planned, default=None),
+            "next_fraction": 1 + max((one.fraction_number or 0 for one in done), default=0),
+            "last_session": {name: getattr(done[0], name) for name in PlanLastSession.model_fields} if done else None,
+        }
+    )

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
 
 from sqlalchemy import ColumnElement, Select, func, literal, or_, select, tuple_
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from service.core.errors import BoundError, NotFoundError
 from service.core.list_filters import (
@@ -109,12 +109,18 @@ def running_sessions(db: Session) -> Sequence[SessionRow]:
     return db.scalars(select(SessionRow).where(SessionRow.status == "running")).all()
 
 
+def containing(text: str | None, *columns: InstrumentedAttribute[str]) -> list[ColumnElement[bool]]:
+    """Return the condition that one of the columns contains the text, in any case of its letters; none without one."""
+    return [] if text is None else [or_(*(column.icontains(text, autoescape=True) for column in columns))]
+
+
 def session_page(
     db: Session, cursor: str | None, limit: int, filters: SessionFilter = ALL_SESSIONS
 ) -> tuple[Sequence[SessionRow], str | None]:
     """Return a page of sessions, newest first, and the next cursor; raise BoundError for an invalid cursor."""
     named = {name: getattr(filters, name) for name in ("status", "patient_reference", "plan_id")}
     conditions = [getattr(SessionRow, name) == value for name, value in named.items() if value is not None]
+    conditions += containing(filters.search, SessionRow.patient_reference, SessionRow.plan_id, SessionRow.fraction_id)
     conditions += [] if filters.since is None else [SessionRow.created_at >= filters.since]
     conditions += [] if filters.until is None else [SessionRow.created_at < filters.until]
     return newest_first(db, SessionRow, cursor, limit, conditions)

@@ -10,6 +10,7 @@ from service.core.errors import (
     NotFoundError,
     OperatorMismatchError,
 )
+from service.core.list_filters import PlanFilter
 from service.core.schemas.base import Name
 from service.core.schemas.plans import Plan, PlanPage, PlanSessionRequest, PreparedSession
 from service.planning.rt_plan import errors
@@ -76,10 +77,13 @@ def list_plans(
     pages: dependencies.Pages50,
     patient_reference: PatientFilter = None,
     label: LabelFilter = None,
+    search: Annotated[
+        Name | None, Query(description="Only plans with this in the patient's reference or label")
+    ] = None,
 ) -> PlanPage:
-    """List plans, newest first."""
-    page = services.plans.page(pages.cursor, pages.limit, patient_reference=patient_reference, label=label)
-    return pages.answer(page)
+    """List plans, newest first, with the fraction that comes next and the newest session of each."""
+    wanted = PlanFilter(patient_reference=patient_reference, label=label, search=search)
+    return pages.answer(services.plans.page(pages.cursor, pages.limit, wanted))
 
 
 @router.get("/{plan_id}", responses=problems(NotFoundError))

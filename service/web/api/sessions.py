@@ -138,12 +138,16 @@ def list_sessions(
     plan_id: Annotated[
         Name | None, Query(description="Only sessions of this plan, by the plan id they were created with")
     ] = None,
+    search: Annotated[
+        Name | None,
+        Query(description="Only sessions with this in the patient's reference, the plan's or fraction's id"),
+    ] = None,
     since: dependencies.Since = None,
     until: dependencies.Until = None,
 ) -> sessions.SessionPage:
     """List sessions, newest first; `since` and `until` refer to the time of creation."""
     wanted = SessionFilter(
-        status=status, patient_reference=patient_reference, plan_id=plan_id, since=since, until=until
+        status=status, patient_reference=patient_reference, plan_id=plan_id, search=search, since=since, until=until
     )
     return pages.answer(services.sessions.page(pages.cursor, pages.limit, wanted))
 

@@ -90,6 +90,9 @@ PLAN = {
     "gating": "gating",
     "imported_by": "B. Physicist",
     "created_at": "2026-11-20T08:00:00Z",
+    "fractions_planned": 15,
+    "next_fraction": 3,
+    "last_session": None,
 }
 
 WAITING = {
@@ -555,7 +558,9 @@ class FakeService:
             return JSONResponse(problem, status, media_type="application/problem+json")
         if path.startswith(("/users", "/keys")):
             return self._about_others(path, request.method, body)
-        return self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
+        answer = self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
+        search = request.query_params.get("search")
+        return answer if search is None else _searched(answer, search)
 
     def _about_log_ins(self, path: str, body: Any) -> Response:
         if path == "/login":
@@ -627,6 +632,11 @@ class FakeService:
             return JSONResponse(CALIBRATION, 201)
         found = [one for one in self.sessions if path.startswith(f"/sessions/{one['id']}")]
         return JSONResponse(found[0]) if found else JSONResponse({"detail": "no such session"}, 404)
+
+
+def _searched(page: Response, search: str) -> Response:
+    found = [one for one in json.loads(bytes(page.body))["items"] if search in json.dumps(one)]
+    return JSONResponse({"items": found, "next_cursor": None})
 
 
 def _gate_for(signal_mm: float) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class PageState:
             expect(page.locator("#setup")).to_be_visible()
             page.evaluate("document.querySelector('#setup-close').click()")
         self.act(page)
-        expect(page.locator(self.shown)).to_be_visible()
+        expect(page.locator(self.shown).first).to_be_visible()
 
 
 def _sessions(fake: FakeService) -> None:
@@ -138,6 +138,18 @@ def _sessions(fake: FakeService) -> None:
     fake.sessions[:] = [created, over(), over("interrupted") | {"id": "77" * 16}, over() | {"id": "66" * 16}]
     fake.plans = [dict(PLAN)]
     fake.qa = qa_status("no daily QA in 24 h", 24.0, daily=qa_run("daily", "fail"), monthly=qa_run("monthly", "pass"))
+
+
+def _plans(fake: FakeService) -> None:
+    """The plans of a day: one to go on with, one that was interrupted, a new one, one that is done."""
+    fake.sessions[:] = [over(), over("interrupted") | {"id": "77" * 16, "patient_reference": "P-0121"}]
+    last = {"id": "77" * 16, "status": "stopped", "fraction_number": 2, "started_at": "2026-11-20T09:12:00Z"}
+    others = [
+        {"patient_reference": "P-0093", "label": "BREAST_DIBH", "next_fraction": 11, "last_session": last},
+        {"patient_reference": "P-0121", "label": "LIVER", "last_session": last | {"status": "interrupted"}},
+        {"patient_reference": "P-0102", "label": "LUNG_RIGHT", "next_fraction": 16, "last_session": last},
+    ]
+    fake.plans = [dict(PLAN), *(PLAN | {"id": f"{number}b" * 16} | one for number, one in enumerate(others))]
 
 
 def _created(fake: FakeService) -> None:
@@ -183,17 +195,17 @@ def _admin(fake: FakeService) -> None:
 
 
 def _events(fake: FakeService) -> None:
+    """The gate was armed, and then followed four breaths; the newest first."""
+    armed = {"action": "session.arm", "actor": "A. Therapist", "outcome": "done", "detail": {}}
+    states = [("hold", "outside_window"), ("beam_on", None)] * 4
+    moved = [
+        {"action": "gate.transition", "actor": "tidegate", "outcome": "done"}
+        | {"detail": {"from_state": "dwell", "to_state": state, "reason": reason}}
+        for state, reason in states
+    ]
     fake.audit = [
-        {
-            "id": 40 - i,
-            "at": "2026-11-21T03:00:00.123456Z",
-            "actor": "A. Therapist",
-            "action": "session.arm" if i % 2 else "gate.transition",
-            "outcome": "ok",
-            "session_id": SESSION["id"],
-            "detail": {"state": "hold", "reason": "outside_window"},
-        }
-        for i in range(20)
+        one | {"sequence": 40 - i, "session_id": SESSION["id"], "at": f"2026-11-21T03:00:{40 - 2 * i:02}.120Z"}
+        for i, one in enumerate([*moved, armed])
     ]
 
 
@@ -229,6 +241,7 @@ def _press(selector: str) -> Callable[[Page], None]:
 
 STATES: dict[str, PageState] = {
     "idle": PageState("idle", prepare=lambda fake: fake.sessions.clear(), closes_set_up=True),
+    "work-list": PageState("idle", prepare=_plans, shown="#plan-list li"),
     "set-up": PageState("idle", prepare=_sessions, act=_press("#do-setup"), shown="#setup"),
     "set-up-more": PageState(
         "idle", prepare=lambda fake: fake.sessions.clear(), act=_open_more, shown="#more-settings"

@@ -1,7 +1,7 @@
 """Pictures of every state of the page, for people to look at.
 
-Run: ``python -m tests.system.browser.page_pictures OUT [STATE ...]`` draws each state at the four sizes, in grey and in
-forced colours; ``--documentation`` draws those of docs/pictures instead.
+Run: ``python -m tests.system.browser.page_pictures OUT [STATE ...]`` draws each state at the four sizes, in the bright
+theme, in grey and in forced colours; ``--documentation`` draws those of docs/pictures instead.
 
 Not a test: what is wrong with a picture is for eyes. Each shows the page some breaths after its state began.
 """
@@ -67,6 +67,9 @@ def take(page: Page, out: Path, name: str) -> None:
     """Take the pictures of a state: at each size, in grey, and in forced colours."""
     for size in SIZES:
         picture(page, name, out / f"{name}-{size[0]}x{size[1]}.png", size)
+    page.evaluate("document.documentElement.dataset.theme = 'bright'")
+    picture(page, name, out / f"{name}-bright.png", SIZES[1])
+    page.evaluate("document.documentElement.dataset.theme = 'dark'")
     session = page.context.new_cdp_session(page)
     session.send("Emulation.setEmulatedVisionDeficiency", {"type": "achromatopsia"})
     picture(page, name, out / f"{name}-grey.png", SIZES[1])

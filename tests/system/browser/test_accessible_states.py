@@ -38,6 +38,9 @@ def test_a_state_is_accessible(shared_context: BrowserContext, door: tuple[Door,
         page = tab.page
         state.open(page, tab.url)
         found = {"axe": axe_findings(page), f"borders below {BORDER}:1": findings(page, "borders", BORDER)}
+        in_theme(page, "bright")
+        found["bright, axe"], found["bright, borders"] = axe_findings(page), findings(page, "borders", BORDER)
+        in_theme(page, "dark")
         count, found["focus"] = focus_findings(page)
         assert count >= LEAST_TABS, "Tab did not go through the page"
         for size in SIZES:
@@ -48,6 +51,11 @@ def test_a_state_is_accessible(shared_context: BrowserContext, door: tuple[Door,
         # axe reads the colours that the page asks for, not those which replace them: their contrast is the system's.
         found["axe, forced colours"] = axe_findings(page, "color-contrast")
     assert {check: what for check, what in found.items() if what} == {}
+
+
+def in_theme(page: Page, theme: str) -> None:
+    page.evaluate("theme => document.documentElement.dataset.theme = theme", theme)
+    settled(page)
 
 
 def small_findings(page: Page) -> list[str]:

@@ -156,13 +156,13 @@ def test_a_window_on_the_volume_is_shown_in_litres(fake: FakeService, tab: Tab):
     page = show(fake, tab, window=window(volume), signal_mm=None, volume_l=0.317)
     expect(page.locator("#trace-value")).to_have_text("0.32")
     expect(page.locator("#trace-unit")).to_have_text("l")
-    expect(page.locator("#trace-name")).to_have_text("Gated on volume")
+    expect(page.locator("#trace-name")).to_have_text("Gated on volume, \N{MINUS SIGN}0.05 to 0.15 l")
 
 
 def test_all_conditions_are_named_beside_the_trace(fake: FakeService, tab: Tab):
     both = window(condition(), phase(signal="abdomen"), join="or")
     page = show(fake, tab, window=both)
-    expect(page.locator("#trace-name")).to_have_text("Gated on whole or abdomen, phase")
+    expect(page.locator("#trace-name")).to_have_text("Gated on whole, \N{MINUS SIGN}1.0 to 3.0 mm or abdomen, phase")
 
 
 def test_a_drift_is_corrected_by_two_clicks_of_a_named_person_and_by_what_they_saw(fake: FakeService, tab: Tab):

@@ -124,7 +124,7 @@ def test_frames_the_camera_missed_are_a_gap_too(fake: FakeService, traced: Tab):
 def test_thorax_and_abdomen_can_be_looked_at_and_the_gated_signal_is_named(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(signal_mm=1.5, thorax_mm=2.5, abdomen_mm=3.5)
     page = tab.open("hold")
-    expect(page.locator("#trace-name")).to_have_text("Gated on whole")
+    expect(page.locator("#trace-name")).to_have_text("Gated on whole, \N{MINUS SIGN}1.0 to 3.0 mm")
     expect(page.locator("#trace-value")).to_have_text("1.5")
     page.get_by_text("Thorax", exact=True).first.click()
     expect(page.locator("#trace-value")).to_have_text("2.5")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Page, expect
 
 from tests.support.browser.fake_service import CALIBRATION, PLAN, RECORDING, FakeService, sample
 from tests.support.browser.tab import Tab
@@ -205,15 +205,13 @@ def test_a_new_session_takes_the_values_of_an_earlier_one_where_that_is_asked_fo
 def test_a_prepared_plan_needs_its_fraction_camera_and_calibration_only(fake: FakeService, tab: Tab):
     """Three fields, each with a proposal: what the plan states cannot be typed."""
     fake.plans, fake.devices = [dict(PLAN)], [{"uri": "usb:1", "name": "Asus Xtion"}]
-    begun = {"patient_reference": "P-0300", "plan_id": "LUNG_GATED", "fraction_number": 3, "status": "stopped"}
-    fake.sessions = [fake.sessions[0] | begun | {"started_at": "2026-11-22T08:00:00Z"}]
     page = tab.open("idle")
     page.select_option("[name=plan]", PLAN["id"])
     expect(page.locator("#plan-note")).to_contain_text("prescribes gating")
     for name in ("patient_reference", "plan_id", "fraction_id"):
         expect(page.locator(f"[name={name}]")).to_be_hidden()
     expect(page.locator("#more-settings")).not_to_have_attribute("open", "")
-    expect(page.locator("[name=fraction_number]")).to_have_value("4")
+    expect(page.locator("[name=fraction_number]")).to_have_value("3")
     expect(page.locator("[name=source]")).to_have_value("device:usb:1")
     page.click("#new-session [type=submit]")
     expect(page.locator("#setup")).to_be_hidden()
@@ -221,7 +219,7 @@ def test_a_prepared_plan_needs_its_fraction_camera_and_calibration_only(fake: Fa
     assert path == f"/plans/{PLAN['id']}/sessions"
     assert sent == {
         "operator": "A. Therapist",
-        "fraction_number": 4,
+        "fraction_number": 3,
         "source": {"kind": "device", "uri": "usb:1"},
         "calibration_id": CALIBRATION["id"],
         "window": {"kind": "amplitude", "signal": "whole", "lower_percent": -10, "upper_percent": 30}
@@ -230,24 +228,46 @@ def test_a_prepared_plan_needs_its_fraction_camera_and_calibration_only(fake: Fa
     expect(page.locator("#who-patient")).to_have_text("P-0300")
 
 
-def test_the_next_fraction_is_not_entered_into_a_field_that_is_being_filled_in(fake: FakeService, tab: Tab):
-    fake.plans = [dict(PLAN)]
+def test_the_work_list_shows_each_plan_with_its_next_fraction_and_sets_it_up(fake: FakeService, tab: Tab):
+    last = {"id": "77" * 16, "status": "interrupted", "fraction_number": 2, "started_at": "2026-11-22T08:00:00Z"}
+    fake.plans = [
+        dict(PLAN),
+        PLAN | {"id": "9b" * 16, "patient_reference": "P-0301", "next_fraction": 6, "last_session": last},
+        PLAN | {"id": "9c" * 16, "patient_reference": "P-0302", "next_fraction": 16},
+        PLAN | {"id": "9d" * 16, "patient_reference": "P-0303", "fractions_planned": None},
+    ]
     page = tab.open("idle")
-    held: list[Route] = []
+    rows = page.locator("#plan-list li")
+    expect(rows).to_have_count(4)
+    expect(rows.nth(0)).to_contain_text("Fraction 3 of 15No session yet")
+    expect(rows.nth(1)).to_contain_text("Fraction 6 of 15Last: interrupted, 22 Nov 2026")
+    expect(rows.nth(2)).to_contain_text("All 15 fractions done")
+    expect(rows.nth(3)).to_contain_text("Fraction 3No session yet")
+    rows.nth(1).get_by_role("button").click()
+    expect(page.locator("[name=plan]")).to_have_value("9b" * 16)
+    expect(page.locator("[name=fraction_number]")).to_have_value("6")
+    expect(page.locator("[name=source]")).to_be_focused()
+    expect(page.locator("#setup-outcome")).to_contain_text("P-0301, LUNG_GATED: choose the camera")
+    page.click("#work-typed")
+    expect(page.locator("[name=plan]")).to_have_value("")
+    expect(page.locator("[name=fraction_number]")).to_have_value("")
+    expect(page.locator("[name=patient_reference]")).to_be_focused()
 
-    def hold(route: Route) -> None:
-        held.append(route)
 
-    page.route(f"**/api/v1/sessions?*{PLAN['patient_reference']}*", hold)
-    page.select_option("[name=plan]", PLAN["id"])
-    number = page.locator("[name=fraction_number]")
-    number.focus()
-    tab.await_that(lambda: page.wait_for_timeout(20) or held, "no sessions are asked for")
-    for route in held:
-        route.continue_()
-    tab.is_answered()
-    page.keyboard.type("7")
-    expect(number).to_have_value("7")
+def test_a_search_narrows_both_lists_and_leaves_the_form(fake: FakeService, tab: Tab):
+    fake.plans = [dict(PLAN), PLAN | {"id": "9b" * 16, "patient_reference": "P-0301"}]
+    page = tab.open("idle")
+    expect(page.locator("#plan-list li")).to_have_count(2)
+    page.fill("[name=fraction_id]", "FX-7")
+    page.fill("#work-search", "P-0301")
+    expect(page.locator("#plan-list li")).to_have_count(1)
+    expect(page.locator("#session-empty")).to_have_text("No session with this.")
+    expect(page.locator("[name=plan] option")).to_have_count(3)
+    expect(page.locator("[name=fraction_id]")).to_have_value("FX-7")
+    page.fill("#work-search", "nobody")
+    expect(page.locator("#plan-empty")).to_have_text("No plan with this.")
+    page.fill("#work-search", "")
+    expect(page.locator("#plan-list li")).to_have_count(2)
 
 
 def test_the_chosen_plan_and_fraction_survive_a_refresh_of_the_lists(fake: FakeService, tab: Tab):

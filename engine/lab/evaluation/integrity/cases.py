@@ -247,7 +247,9 @@ def _slow_moves(*, is_camera: bool = False) -> Iterator[Case]:
         ("tilted", Move(tilt_deg=2.0, over_s=SLOW_S, steps=40)),
     ):
         far = f"{abs(move.up_mm or move.tilt_deg):g} in {SLOW_S:g} s"
-        yield replace(_move(f"{'camera' if is_camera else 'body'} {what}", far, move, is_camera=is_camera), seconds=SLOW_S)
+        yield replace(
+            _move(f"{'camera' if is_camera else 'body'} {what}", far, move, is_camera=is_camera), seconds=SLOW_S
+        )
 
 
 def _move(kind: str, size: str, move: Move, *, is_camera: bool = False) -> Case:

@@ -75,11 +75,11 @@ const session = (id) => `/sessions/${encodeURIComponent(id)}`;
 /** Return a new Idempotency-Key, so that a repeated submission does not create twice. */
 const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` });
 
-export const listSessions = (limit) => call("GET", `/sessions?limit=${limit}`);
+const searched = (limit, search) => new URLSearchParams({ limit, ...(search === "" ? {} : { search }) });
+export const listSessions = (limit, search = "") => call("GET", `/sessions?${searched(limit, search)}`);
 export const readSession = (id) => call("GET", session(id));
 export const createSession = (request) => call("POST", "/sessions", request, once());
-export const listSessionsOf = (patient, plan) => call("GET", `/sessions?${new URLSearchParams({ patient_reference: patient, plan_id: plan, limit: 100 })}`);
-export const listPlans = () => call("GET", "/plans?limit=50");
+export const listPlans = (search = "") => call("GET", `/plans?${searched(50, search)}`);
 export const prepareSession = (planId, request) => call("POST", `/plans/${encodeURIComponent(planId)}/sessions`, request, once());
 export const listRecordings = () => call("GET", "/recordings?limit=100");
 const model = (id) => `/models/${encodeURIComponent(id)}`;

@@ -37,6 +37,7 @@ import { renderTreatment, timeText } from "./panels/treatment.js";
 import { Trace } from "./panels/trace.js";
 import { WindowEditor } from "./panels/window_editor.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
+import { fixed } from "./drawing/numbers.js";
 import { tr } from "./words/words.js";
 
 const TICK_MS = 50;
@@ -67,7 +68,7 @@ const gate = new GatePanel(byId("gate"));
 const trace = new Trace(byId("trace-frame"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
-const events = new EventList(byId("events"), byId("events-empty"));
+const events = new EventList(byId("events"), byId("events-empty"), (atMs) => trace.lookAt(atMs));
 const controls = new Controls(() => lookAgain(), (id, head) => arming.open(id, head), () => closeTopmost());
 const arming = new ArmingPanel(byId("arming"), controls);
 const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
@@ -412,10 +413,10 @@ function renderTraceValue(sample) {
   const isGated = trace.choice === "gated";
   const unit = isGated && sample ? gatedUnit(sample.window) : "mm";
   const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
-  setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
+  setText(byId("trace-value"), Number.isFinite(value) ? fixed(value, unit === "l" ? 2 : 1) : "–");
   setText(byId("trace-unit"), unit);
   renderReference(sample?.reference);
-  setText(byId("trace-name"), sample && isGated ? tr("main.gated_on", { window: describeWindow(sample.window) }) : "");
+  setText(byId("trace-name"), sample && isGated ? [tr("main.gated_on", { window: describeWindow(sample.window, true) }), trace.referenceText].filter(Boolean).join(" · ") : "");
 }
 
 byId("trace-choice").addEventListener("change", (event) => {

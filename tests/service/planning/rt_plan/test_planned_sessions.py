@@ -172,6 +172,35 @@ def test_a_fraction_that_was_begun_is_repeated_by_a_person_with_a_reason_only(cl
     assert audit_rows(client, "session.create")[-1]["detail"]["repeats_fraction"] == "stopped after beam 1"
 
 
+@pytest.mark.both_databases
+def test_the_list_of_plans_states_the_fraction_that_comes_next_and_the_newest_session(client, plan, asked):
+    def listed():
+        return client.get("/api/v1/plans").json()["items"][0]
+
+    assert (listed()["next_fraction"], listed()["fractions_planned"], listed()["last_session"]) == (1, 30, None)
+    never = prepare(client, plan, asked | {"fraction_number": 4}).json()
+    end(client, never["id"])
+    assert (listed()["next_fraction"], listed()["last_session"]) == (1, None)
+    begun = prepare(client, plan, asked | {"fraction_number": 2}).json()
+    assert act(client, begun["id"], "start").status_code == 200
+    assert listed()["last_session"]["status"] == "running"
+    end(client, begun["id"])
+    last = listed()["last_session"]
+    assert (last["id"], last["status"], last["fraction_number"]) == (begun["id"], "stopped", 2)
+    assert listed()["next_fraction"] == 3
+
+
+@pytest.mark.both_databases
+def test_plans_and_sessions_are_searched_as_text_in_any_case_and_not_as_a_pattern(client, plan, asked):
+    prepare(client, plan, asked)
+    for path in ("plans", "sessions"):
+        for search, count in (("p-0001", 1), ("UNG_d", 1), ("%", 0), ("P_0001", 0), ("P-0002", 0)):
+            found = client.get(f"/api/v1/{path}", params={"search": search}).json()["items"]
+            assert len(found) == count, (path, search)
+    assert len(client.get("/api/v1/sessions", params={"search": "fx-3"}).json()["items"]) == 1
+    assert client.get("/api/v1/sessions", params={"search": ""}).status_code == 422
+
+
 def test_a_fraction_that_was_never_begun_or_is_another_one_is_free(client, plan, asked):
     end(client, prepare(client, plan, asked).json()["id"])
     assert prepare(client, plan, asked).status_code == 201

@@ -100,8 +100,8 @@ export class CoachingForm {
     this.fields.append(
       part("legend", tr("coaching_form.this_session_s_screen"), "unseen"),
       choice(tr("coaching_form.display"), "display", [["bar", tr("coaching_form.bar")], ["curve", tr("coaching_form.curve")]]),
-      number(tr("coaching_form.band_from"), "band.lower", { min: -100, max: 300, placeholder: tr("trace_layers.window") }),
-      number(tr("coaching_form.band_to"), "band.upper", { min: -100, max: 300, placeholder: tr("trace_layers.window") }),
+      number(tr("coaching_form.band_from"), "band.lower", { min: -100, max: 300, placeholder: tr("coaching_form.window") }),
+      number(tr("coaching_form.band_to"), "band.upper", { min: -100, max: 300, placeholder: tr("coaching_form.window") }),
       choice(tr("coaching_form.language"), "language", [["en", "English"], ["de", "Deutsch"]]),
       number(tr("coaching_form.screen_from"), "scale.lower", { min: -100, max: 300, placeholder: tr("coaching_form.automatic") }),
       number(tr("coaching_form.screen_to"), "scale.upper", { min: -100, max: 300, placeholder: tr("coaching_form.automatic") }),

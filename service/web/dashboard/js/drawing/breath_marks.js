@@ -1,12 +1,11 @@
 /** Marks of the breathing on the trace: baseline, events, and when the phase was inside its window. */
 
-import { font } from "./canvas.js";
+import { palette } from "./theme.js";
 import { tr } from "../words/words.js";
 
-const COLORS = { baseline: "#c9a2ff", event: "#ff9d6b" };
+const COLORS = palette({ baseline: "--draw-baseline", event: "--draw-event", span: "--draw-event-span" });
 /** Tolerance for recognising the same event by its start [s]. */
 const SAME_S = 0.6;
-const LABEL_PX = 13;
 export const EVENT_WORDS = {
   cough: tr("breath_marks.cough"),
   sigh: tr("breath_marks.sigh"),
@@ -76,22 +75,17 @@ export class BreathMarks {
   }
 
   #drawEvents(context, box, x, since) {
-    context.font = font(12, 600);
-    context.textBaseline = "top";
-    context.textAlign = "left";
-    const ends = [];
     for (const event of this.events.filter((one) => one.to >= since)) {
       const [from, to] = [Math.max(x(event.from), box.x0), Math.max(x(event.to), x(event.from) + 2)];
-      context.fillStyle = "rgba(255, 157, 107, 0.13)";
+      context.fillStyle = COLORS.span;
       context.fillRect(from, box.y0, to - from, box.y1 - box.y0);
       context.fillStyle = COLORS.event;
       context.fillRect(from, box.y0, 2, box.y1 - box.y0);
-      const text = EVENT_WORDS[event.kind] ?? String(event.kind);
-      // Overlapping labels move to the next row.
-      let row = ends.findIndex((end) => end < from);
-      if (row < 0) row = ends.length;
-      ends[row] = from + context.measureText(text).width + 10;
-      context.fillText(text, from + 5, box.y0 + 8 + row * LABEL_PX);
     }
+  }
+
+  /** What the lane below the plot says of the events from a time on [s]. */
+  labels(since) {
+    return this.events.filter((one) => one.to >= since).map((one) => ({ t: one.from, text: EVENT_WORDS[one.kind] ?? String(one.kind), color: COLORS.event }));
   }
 }

@@ -1,6 +1,8 @@
 /** Canvas set-up for any pixel density, and the hatching that means "not measured". */
 
-export const INK = { text: "#c8d3de", faint: "#7f8d9b", line: "#26313b", panel: "#0d1319" };
+import { ink, palette } from "./theme.js";
+
+export const INK = palette({ text: "--draw-text", faint: "--draw-faint", line: "--draw-grid", panel: "--panel" });
 
 /**
  * Match a canvas to the box it is shown in and return its context, scaled to CSS pixels and cleared.
@@ -31,7 +33,7 @@ export function font(sizePx, weight = 400) {
 const hatches = new Map();
 
 /** Return the pattern for areas that were not measured. */
-export function hatch(context, color = "rgba(150, 165, 180, 0.35)") {
+export function hatch(context, color = ink("--draw-gap")) {
   let tile = hatches.get(color);
   if (tile === undefined) {
     tile = new OffscreenCanvas(8, 8);

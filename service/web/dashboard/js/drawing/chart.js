@@ -4,11 +4,14 @@
  */
 
 import uPlot from "../../vendor/uplot/uPlot.esm.js";
+import { fixed } from "./numbers.js";
 import { font, INK } from "./canvas.js";
 
 /** Space around the plot [px]: left for the values, below for the times. */
 const LEFT_PX = 58;
 const BELOW_PX = 24;
+/** Height of the lane for labels, between the plot and the times [px]. */
+export const LANE_PX = 18;
 const ABOVE_PX = 12;
 const RIGHT_PX = 14;
 const VALUE_STEPS = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
@@ -23,7 +26,7 @@ const MIN_SIZE_PX = 40;
 export class Chart {
   /**
    * @param {HTMLElement} host filled by the chart
-   * @param {string[]} colors of the lines, the first one in front
+   * @param {(() => string)[]} colors of the lines, as they are when drawn, the first one in front
    * @param {{below: (pen: Pen) => void, above: (pen: Pen) => void, times: (from: number, to: number) => {at: number, text: string}[],
    *   isJoined: (index: number) => boolean, onPress: () => boolean, onSelect: (from: number, to: number) => void, onRelease: () => void}} given
    *   `onPress` returns false where the pointer is used for something else
@@ -87,7 +90,7 @@ export class Chart {
   }
 
   #options(colors) {
-    const axis = { stroke: INK.text, font: font(12), grid: { stroke: INK.line, width: 1 }, ticks: { show: false } };
+    const axis = { stroke: () => INK.text, font: font(12), grid: { stroke: () => INK.line, width: 1 }, ticks: { show: false } };
     const lines = colors.map((stroke, i) => ({ stroke, width: i === 0 ? 2 : 1.5, points: { show: false }, spanGaps: true, paths: (...where) => this.#path(...where) }));
     return {
       width: 600,
@@ -100,13 +103,13 @@ export class Chart {
       series: [{}, ...lines.toReversed()],
       axes: [
         {
-          ...axis, stroke: INK.faint, size: BELOW_PX, gap: 6, grid: { show: false }, ticks: { show: true, stroke: INK.line, width: 1, size: 4 },
+          ...axis, stroke: () => INK.faint, size: BELOW_PX + LANE_PX, gap: 6 + LANE_PX, grid: { show: false }, ticks: { show: true, stroke: () => INK.line, width: 1, size: 4 },
           splits: (_, __, from, to) => (this.marks = this.given.times(from, to)).map(({ at }) => at),
           values: () => this.marks.map(({ text }) => text),
         },
         {
           ...axis, size: LEFT_PX, gap: 7, incrs: VALUE_STEPS, space: VALUE_SPACE_PX,
-          values: (_, values, __, ___, step) => values.map((value) => value.toFixed(step < 0.1 ? 2 : step < 1 ? 1 : 0).replace("-", "−")),
+          values: (_, values, __, ___, step) => values.map((value) => fixed(value, step < 0.1 ? 2 : step < 1 ? 1 : 0)),
         },
       ],
       cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 6 }, bind: this.#bindings() },

@@ -1,21 +1,21 @@
 /** What lies below and above the lines of the trace: beam on, gaps, windows, references, states of the gate, the newest value. */
 
 import { font, hatch, INK } from "./canvas.js";
+import { ink, palette } from "./theme.js";
+import { fixed } from "./numbers.js";
 import { tr } from "../words/words.js";
 
-export const COLORS = {
-  line: "#8fd3ff", thorax: "#f0b7ff", abdomen: "#b9e07a", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff",
-  reference: "#cfd8e0",
-};
-const VARIABLES = { disarmed: "--disarmed", hold: "--hold", dwell: "--dwell", beam_on: "--on", fault: "--fault" };
+export const COLORS = palette({
+  line: "--draw-gated", thorax: "--draw-thorax", abdomen: "--draw-abdomen", window: "--draw-window", inside: "--draw-inside",
+  proposal: "--draw-proposal", now: "--draw-now", reference: "--draw-reference", zero: "--draw-zero", before: "--draw-before",
+});
+const VARIABLES = { disarmed: "--disarmed", hold: "--hold-text", dwell: "--dwell", beam_on: "--on", fault: "--fault" };
 const STRIP_PX = 5;
-const colors = new Map();
+const LEAST_APART_PX = 60;
 
 /** The colour of a state of the gate, that of the page's own variable; an unknown state looks like a fault. */
 function colorOf(gate) {
-  const name = VARIABLES[gate] ?? VARIABLES.fault;
-  if (!colors.has(name)) colors.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-  return colors.get(name);
+  return ink(VARIABLES[gate] ?? VARIABLES.fault);
 }
 
 /** Clip to the plot. */
@@ -38,16 +38,10 @@ export function drawUnit({ context, box }, unit) {
 }
 
 /** The reference is zero of the axis. */
-export function drawReference({ context, box, y }, text) {
-  context.strokeStyle = "#4a5865";
+export function drawReference({ context, box, y }) {
+  context.strokeStyle = COLORS.zero;
   context.lineWidth = 1;
   stroke(context, box.x0, y(0), box.x1, y(0));
-  if (text === "") return;
-  context.fillStyle = COLORS.reference;
-  context.font = font(11);
-  context.textAlign = "right";
-  context.textBaseline = "top";
-  context.fillText(text, box.x1 - 8, y(0) + 3);
 }
 
 export function drawBeam({ context, box, x }, intervals) {
@@ -66,20 +60,39 @@ export function drawStates({ context, box, x }, intervals) {
   }
 }
 
-/** Marks where a hold began that is not the window's, with its cause. */
+/** Marks where a hold began that is not the window's; its cause stands in the lane. */
 export function drawHolds({ context, box, x }, holds) {
-  context.font = font(11, 600);
-  context.textAlign = "left";
-  context.textBaseline = "bottom";
-  let end = -Infinity;
-  for (const { t, gate, text } of holds) {
-    const at = x(t);
+  for (const { t, gate } of holds) {
     context.fillStyle = colorOf(gate);
-    context.fillRect(at, box.y1 - STRIP_PX - 11, 1.5, 11);
-    if (at < end) continue;
-    context.fillText(text, at + 4, box.y1 - STRIP_PX - 1);
-    end = at + context.measureText(text).width + 12;
+    context.fillRect(x(t), box.y1 - STRIP_PX - 11, 1.5, 11);
   }
+}
+
+/**
+ * The labels of what is marked, in a lane of their own below the plot: none lies on the curve or on another. One that has no
+ * room is left out: the list of events has it.
+ *
+ * @param {{t: number, text: string, color: string}[]} labels
+ */
+export function drawLane({ context, box, x }, labels) {
+  context.font = font(13, 600);
+  context.textAlign = "left";
+  context.textBaseline = "top";
+  let free = -Infinity;
+  for (const { t, text, color } of labels.toSorted((one, other) => one.t - other.t)) {
+    const width = context.measureText(text).width;
+    const at = Math.min(Math.max(x(t), box.x0), box.x1 - width);
+    if (at < free || x(t) > box.x1) continue;
+    context.fillStyle = color;
+    context.fillText(text, at, box.y1 + 4);
+    free = at + Math.max(width + 10, LEAST_APART_PX);
+  }
+}
+
+/** What the lane says of holds, and of changes of the zero. */
+export function labelsOf(holds, steps) {
+  const ofHolds = holds.map(({ t, gate, text }) => ({ t, text, color: colorOf(gate) }));
+  return [...ofHolds, ...steps.map(({ t, text }) => ({ t, text, color: COLORS.reference }))];
 }
 
 /** Draw a strip at the top where the phase was inside its window. */
@@ -89,7 +102,7 @@ export function drawPhase({ context, box, x }, intervals) {
 }
 
 export function drawGaps({ context, box, x }, intervals) {
-  context.fillStyle = hatch(context, "rgba(150, 165, 180, 0.34)");
+  context.fillStyle = hatch(context);
   for (const [from, to] of intervals) context.fillRect(x(from), box.y0, x(to) - x(from), box.y1 - box.y0);
 }
 
@@ -97,25 +110,18 @@ export function drawGaps({ context, box, x }, intervals) {
 export function drawSteps({ context, box, x }, steps) {
   if (steps.length === 0) return;
   const newest = Math.min(box.x1, x(steps.at(-1).t));
-  context.fillStyle = "rgba(13, 19, 25, 0.55)";
+  context.fillStyle = COLORS.before;
   if (newest > box.x0) context.fillRect(box.x0, box.y0, newest - box.x0, box.y1 - box.y0);
   context.strokeStyle = COLORS.reference;
-  context.fillStyle = COLORS.reference;
   context.lineWidth = 1.5;
-  context.font = font(12, 600);
-  context.textAlign = "right";
-  context.textBaseline = "top";
-  for (const { t, text } of steps) {
-    context.setLineDash([6, 3]);
-    stroke(context, x(t), box.y0, x(t), box.y1);
-    context.setLineDash([]);
-    context.fillText(text, x(t) - 5, box.y0 + 4);
-  }
+  context.setLineDash([6, 3]);
+  for (const { t } of steps) stroke(context, x(t), box.y0, x(t), box.y1);
+  context.setLineDash([]);
 }
 
 export function drawWindow({ context, box, y }, condition) {
-  const { lower, upper, hysteresis: inner, unit } = condition;
-  context.fillStyle = "rgba(232, 210, 122, 0.07)";
+  const { lower, upper, hysteresis: inner } = condition;
+  context.fillStyle = COLORS.inside;
   context.fillRect(box.x0, y(upper), box.x1 - box.x0, y(lower) - y(upper));
   context.strokeStyle = COLORS.window;
   context.lineWidth = 1.5;
@@ -126,13 +132,6 @@ export function drawWindow({ context, box, y }, condition) {
     for (const edge of [lower + inner, upper - inner]) stroke(context, box.x0, y(edge), box.x1, y(edge));
     context.setLineDash([]);
   }
-  context.fillStyle = COLORS.window;
-  context.font = font(11);
-  context.textAlign = "left";
-  context.textBaseline = "bottom";
-  const digits = unit === "l" ? 2 : 1;
-  const name = condition.kind === "breath_hold" ? tr("trace_layers.breath_hold") : tr("trace_layers.window");
-  context.fillText(tr("trace_layers.edges", { name, lower: lower.toFixed(digits), upper: upper.toFixed(digits), unit }).replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
 }
 
 /** Draw edges that are being edited, each with a grip. */
@@ -149,7 +148,7 @@ export function drawProposal({ context, box, y }, { lower, upper, unit }) {
     context.setLineDash([]);
     context.fillRect(box.x1 - 34, y(edge) - 3, 28, 6);
     context.textBaseline = baseline;
-    context.fillText(`${edge.toFixed(digits)} ${unit}`.replace("-", "−"), box.x1 - 40, y(edge) + shift);
+    context.fillText(`${fixed(edge, digits)} ${unit}`, box.x1 - 40, y(edge) + shift);
   }
 }
 

@@ -9,6 +9,7 @@ import { rememberArming } from "../people/presence.js";
 import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
 import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const READ_MS = 2000;
@@ -18,6 +19,8 @@ const TITLES = {
   patient: tr("arming.patient"), plan: tr("arming.plan"), camera: tr("arming.camera"), head_direction: tr("arming.head"), view: tr("arming.view"), model: tr("arming.model"),
   reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), checks: tr("arming.checks"), countersignature: tr("arming.second_person"), site: "QA", gate: tr("arming.gate"),
 };
+/** Who is treated, where the patient lies, what is gated, and how good the measurement is; what is of none is in the last. */
+const GROUPS = { who: ["plan", "countersignature"], what: ["window", "reference", "gate"], where: ["camera", "head_direction", "view", "position"], good: ["model", "checks", "site"] };
 const MARKS = { ok: "✓", attention: "!", missing: "✕" };
 const WORDS = { ok: "", attention: tr("arming.look"), missing: tr("arming.missing") };
 
@@ -116,7 +119,7 @@ export class ArmingPanel {
     this.countersigning.hidden = !summary.items.some((one) => one.code === "countersignature" && one.state === "missing");
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
-    byId("arming-items").replaceChildren(...summary.items.filter((one) => one.code !== "patient").map(itemLine));
+    byId("arming-items").replaceChildren(...groupsOf(summary.items.filter((one) => one.code !== "patient")));
   }
 
   /** Sign what is shown, as the second person; the password leaves the page's fields in any case. */
@@ -149,6 +152,19 @@ export class ArmingPanel {
   }
 }
 
+function groupsOf(items) {
+  const named = Object.values(GROUPS).flat();
+  return Object.entries(GROUPS).map(([name, codes]) => {
+    const group = part("section", "");
+    const list = part("dl", "");
+    const own = codes.flatMap((code) => items.filter((one) => one.code === code));
+    if (name === "good") own.push(...items.filter((one) => !named.includes(one.code)));
+    list.append(...own.map(itemLine));
+    group.append(part("h3", tr(`arming.group.${name}`)), list);
+    return group;
+  });
+}
+
 function itemLine({ code, state, text }) {
   const line = part("div", "");
   line.dataset.code = code;
@@ -168,7 +184,7 @@ function edgesText(window) {
       if (one.kind === "phase") return tr("arming.to_of_the_breath", { one: signalName(one), from_percent: one.from_percent, to_percent: one.to_percent });
       const digits = one.unit === "l" ? 2 : 1;
       const name = one.kind === "breath_hold" ? tr("arming.breath_hold") : "";
-      return hasEdges(one) ? tr("arming.to", { one: signalName(one), name, value: one.lower.toFixed(digits), value2: one.upper.toFixed(digits), unit: one.unit }) : tr("arming.to_2", { one: signalName(one), name, lower: one.lower, upper: one.upper });
+      return hasEdges(one) ? tr("arming.to", { one: signalName(one), name, value: fixed(one.lower, digits), value2: fixed(one.upper, digits), unit: one.unit }) : tr("arming.to_2", { one: signalName(one), name, lower: one.lower, upper: one.upper });
     })
     .join(window?.join === "or" ? " or " : " and ")
     .replaceAll("-", "−");

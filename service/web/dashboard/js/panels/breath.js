@@ -1,7 +1,7 @@
 /** The breathing panel: phase, rate, amplitude, drift, events and breath hold; a dash for unknown values. */
 
 import { setText } from "../drawing/elements.js";
-import { signed } from "../drawing/numbers.js";
+import { fixed, signed } from "../drawing/numbers.js";
 import { conditionsOf } from "../stream/gating_window.js";
 import { tr } from "../words/words.js";
 
@@ -30,7 +30,7 @@ export function renderBreath(sample) {
   setText(byId("breath-signal"), breath ? `${breath.signal}, ${breath.unit}` : "");
   renderPhase(sample, breath);
   const length = (value, hasSign) => (Number.isFinite(value) ? (hasSign ? signed : plain)(value, digits(breath)) : NONE);
-  setText(byId("figure-rate"), Number.isFinite(breath?.rate_per_min) ? breath.rate_per_min.toFixed(1) : NONE);
+  setText(byId("figure-rate"), Number.isFinite(breath?.rate_per_min) ? fixed(breath.rate_per_min, 1) : NONE);
   setText(byId("figure-amplitude"), length(breath?.amplitude, false));
   setText(byId("figure-baseline"), length(breath?.baseline, true));
   setText(byId("figure-drift"), length(breath?.drift, true));
@@ -47,7 +47,7 @@ function digits(breath) {
 }
 
 function plain(value, places) {
-  return value.toFixed(places).replace("-", "−");
+  return fixed(value, places);
 }
 
 function renderPhase(sample, breath) {
@@ -63,7 +63,7 @@ function renderPhase(sample, breath) {
   const phases = conditionsOf(sample?.window).filter((one) => one.kind === "phase");
   byId("phase-window").setAttribute("d", phases.map(arc).join(" "));
   setText(byId("phase-value"), isKnown ? `${Math.round(phase)} %` : NONE);
-  setText(byId("phase-note"), isKnown ? tr("breath.phase_confidence", { value: breath.phase_confidence.toFixed(2) }) : unknown(sample, breath));
+  setText(byId("phase-note"), isKnown ? tr("breath.phase_confidence", { value: fixed(breath.phase_confidence, 2) }) : unknown(sample, breath));
 }
 
 function unknown(sample, breath) {
@@ -109,7 +109,7 @@ function renderHold(hold, isCurrent) {
   else if (isCurrent) root.hidden = true;
   root.dataset.stage = hold?.stage ?? "unknown";
   setText(byId("hold-stage"), hold ? (STAGES[hold.stage] ?? String(hold.stage)) : NONE);
-  setText(byId("hold-seconds"), Number.isFinite(hold?.seconds) ? hold.seconds.toFixed(1) : NONE);
+  setText(byId("hold-seconds"), Number.isFinite(hold?.seconds) ? fixed(hold.seconds, 1) : NONE);
   setText(byId("hold-count"), hold ? String(hold.count) : NONE);
   const whole = hold?.stage === "settling" ? hold.settle_s : hold?.timeout_s;
   const runs = hold?.stage === "settling" || hold?.stage === "held";

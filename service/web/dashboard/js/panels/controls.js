@@ -14,6 +14,7 @@ import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
 import { positionObstacle, renderPosition, signObstacle } from "./position.js";
 import { roomMoveOf } from "../stream/gate_state.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
@@ -378,13 +379,13 @@ function proposalText(context) {
   const one = proposalOf(context);
   if (one === null) return tr("controls.two_breaths_have_to_be_seen_before_their_pos");
   const place = one.percent === null ? "" : tr("controls.at_of_the_learned_breath", { value: Math.round(one.percent) });
-  return tr("controls.mean_of_breaths_scatter", { one: far(one), breaths: one.breaths, value: one.level.toFixed(2), unit: one.unit, value2: one.scatter.toFixed(2), unit2: one.unit, place });
+  return tr("controls.mean_of_breaths_scatter", { one: far(one), breaths: one.breaths, value: fixed(one.level, 2), unit: one.unit, value2: fixed(one.scatter, 2), unit2: one.unit, place });
 }
 
 /** Where a proposal lies against the fraction's first reference, if it is too far for a click alone. */
 function far(one) {
   if (!one.is_beyond) return "";
-  const away = one.distance_mm === null ? tr("controls.at_an_unknown_distance") : `${one.distance_mm.toFixed(1)} mm`;
+  const away = one.distance_mm === null ? tr("controls.at_an_unknown_distance") : `${fixed(one.distance_mm, 1)} mm`;
   return tr("controls.needs_a_reason_from_the_fraction_s_first", { away });
 }
 

@@ -4,7 +4,7 @@
  */
 
 import { byId, setText } from "../drawing/elements.js";
-import { signed } from "../drawing/numbers.js";
+import { fixed, signed } from "../drawing/numbers.js";
 import { fillTable } from "../drawing/table.js";
 import { isUnseen } from "../drawing/canvas.js";
 import { conditionsOf, signalName } from "../stream/gating_window.js";
@@ -77,7 +77,7 @@ function traceRows(samples) {
     if (ago < next) continue;
     next = Math.floor(ago) + 1;
     const values = ["gated", "whole", "thorax", "abdomen"].map((name) => number(samples[i][name]));
-    rows.push([Math.floor(ago).toFixed(0), ...values, tr(`trace.${samples[i].gate}`)]);
+    rows.push([fixed(Math.floor(ago), 0), ...values, tr(`trace.${samples[i].gate}`)]);
   }
   return rows;
 }

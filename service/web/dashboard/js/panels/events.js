@@ -1,19 +1,24 @@
-/** The events panel: the newest rows of the session's audit log, with actor and reason. */
+/** The events panel: the newest rows of the session's audit log as sentences, one a pulse; a click shows the trace at that time. */
 
 import { listAudit } from "../api.js";
+import { fixed } from "../drawing/numbers.js";
 import { has, tr } from "../words/words.js";
 
 /** The actor of events that the system itself caused. */
 const SYSTEM = "tidegate";
+/** The reason of a hold that ends a pulse as it should. */
+const PASSED = "outside_window";
 const SHOWN = 40;
 const PERIOD_MS = 2000;
 /** The audit log is written after the gate's decision: delay before reading it after a change [ms]. */
 const SOON_MS = 400;
 
 export class EventList {
-  constructor(list, empty) {
-    this.list = list;
-    this.empty = empty;
+  /** @param {(atMs: number) => void} onChoose called with the time of the event that a person chose */
+  constructor(list, empty, onChoose) {
+    Object.assign(this, { list, empty, onChoose });
+    list.addEventListener("click", ({ target }) => this.#choose(target.closest("li")));
+    list.addEventListener("keydown", (event) => this.#step(event));
     this.sessionId = null;
     this.nextMs = 0;
     this.isBusy = false;
@@ -59,8 +64,24 @@ export class EventList {
     if (newest === this.newest) return;
     this.newest = newest;
     // A request and its effect are shown as one event, and the dwell before the beam as none; the log has a row for each.
-    this.list.replaceChildren(...entries.filter((entry) => entry.outcome !== "requested" && stateAfter(entry) !== "dwell").map(row));
+    const shown = entries.filter((entry) => entry.outcome !== "requested" && stateAfter(entry) !== "dwell");
+    this.list.replaceChildren(...byPulse(shown).map(row));
     this.#sayEmpty(entries.length > 0 ? "" : tr("events.no_events_yet"));
+  }
+
+  #choose(item) {
+    const atMs = Date.parse(item?.dataset.at ?? "");
+    if (Number.isFinite(atMs)) this.onChoose(atMs);
+  }
+
+  /** The list is one stop of Tab; within it the arrow keys go from event to event. */
+  #step(event) {
+    const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (way === undefined) return;
+    event.preventDefault();
+    const buttons = [...this.list.querySelectorAll("button")];
+    const at = buttons.indexOf(document.activeElement);
+    buttons[Math.max(0, Math.min(buttons.length - 1, at + way))]?.focus();
   }
 
   #sayEmpty(text) {
@@ -69,12 +90,31 @@ export class EventList {
   }
 }
 
-/** One line: what happened, why or by whom. */
-function row(entry) {
+/** Join a beam on with the end of the window's passage that follows it, the newest first: one line a pulse. */
+function byPulse(entries) {
+  const lines = [];
+  for (let i = 0; i < entries.length; i += 1) {
+    const [entry, before] = [entries[i], entries[i + 1]];
+    const isPulse = stateAfter(entry) === "hold" && entry.detail.reason === PASSED && before !== undefined && stateAfter(before) === "beam_on";
+    const seconds = isPulse ? (Date.parse(entry.at) - Date.parse(before.at)) / 1000 : NaN;
+    if (Number.isFinite(seconds) && seconds >= 0) {
+      lines.push({ entry: before, seconds, end: entry });
+      i += 1;
+    } else lines.push({ entry, seconds: null, end: null });
+  }
+  return lines;
+}
+
+/** One line: when and what happened, why or by whom. */
+function row({ entry, seconds, end }) {
   const item = document.createElement("li");
   item.dataset.outcome = entry.outcome;
   item.dataset.state = stateAfter(entry) ?? "";
-  item.append(part("time", clock(entry.at)), part("strong", sentence(entry)), part("span", [reason(entry), by(entry)].filter(Boolean).join(" · ")));
+  item.dataset.at = entry.at;
+  const time = part("button", clock(entry.at));
+  Object.assign(time, { type: "button", tabIndex: -1, title: tr("event.look") });
+  const what = seconds === null ? sentence(entry) : tr("event.pulse", { seconds: fixed(seconds, 1) });
+  item.append(time, part("strong", what), part("span", [reason(end ?? entry), by(entry)].filter(Boolean).join(" · ")));
   return item;
 }
 

@@ -5,6 +5,7 @@
 
 import { ClosingCover } from "../drawing/closing_cover.js";
 import { setText } from "../drawing/elements.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** Time without drawing after which the cover closes [ms]. */
@@ -61,5 +62,5 @@ function ageText(view) {
 }
 
 function seconds(ms) {
-  return (ms / 1000).toFixed(1);
+  return fixed(ms / 1000, 1);
 }

@@ -1,7 +1,7 @@
 /** The measurement panel: values of the newest fresh sample, a dash for values that were not measured. */
 
 import { part, setText } from "../drawing/elements.js";
-import { signed } from "../drawing/numbers.js";
+import { fixed, signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const NONE = "–";
@@ -11,10 +11,10 @@ const FIGURES = {
   "figure-thorax": (s) => with_(s.thorax_mm, (v) => signed(v, 2)),
   "figure-abdomen": (s) => with_(s.abdomen_mm, (v) => signed(v, 2)),
   "figure-volume": (s) => with_(s.volume_l, (v) => signed(v, 2)),
-  "figure-residual": (s) => with_(s.residual_mm, (v) => v.toFixed(2)),
-  "figure-coverage": (s) => with_(s.valid_share, (v) => `${(100 * v).toFixed(0)} %`),
+  "figure-residual": (s) => with_(s.residual_mm, (v) => fixed(v, 2)),
+  "figure-coverage": (s) => with_(s.valid_share, (v) => `${fixed(100 * v, 0)} %`),
   "figure-seen": (s) => seenCells(s),
-  "figure-fps": (s) => with_(s.fps, (v) => v.toFixed(1)),
+  "figure-fps": (s) => with_(s.fps, (v) => fixed(v, 1)),
   "figure-missed": (s) => with_(s.missed_frames, (v) => String(v)),
   "figure-latency": (s) => latency(s.latency_ms),
 };
@@ -58,11 +58,11 @@ export function renderReference(reference) {
 
 function parts(reference) {
   if (reference.distance_mm === null) return `: ${reference.unknown}`;
-  return tr("measurement.height_shift", { value: signed(reference.height_mm, 1), value2: reference.shift_mm.toFixed(1) });
+  return tr("measurement.height_shift", { value: signed(reference.height_mm, 1), value2: fixed(reference.shift_mm, 1) });
 }
 
 function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
-  return tr("measurement.turn_tilt_shape_mm", { value: turn.toFixed(1), value2: tilt.toFixed(1), value3: shape.toFixed(1) });
+  return tr("measurement.turn_tilt_shape_mm", { value: fixed(turn, 1), value2: fixed(tilt, 1), value3: fixed(shape, 1) });
 }
 
 function capitalized(text) {
@@ -107,8 +107,8 @@ export function renderLikeness(sample, likeness) {
 }
 
 function distance({ shift_mm: shift, tilt_deg: tilt, shape_mm: shape }) {
-  const millimetres = (value) => with_(value, (v) => `${v.toFixed(1)} mm`);
-  return `${millimetres(Math.hypot(...shift))} · ${with_(tilt, (v) => `${v.toFixed(1)}°`)} · ${millimetres(shape)}`;
+  const millimetres = (value) => with_(value, (v) => `${fixed(v, 1)} mm`);
+  return `${millimetres(Math.hypot(...shift))} · ${with_(tilt, (v) => `${fixed(v, 1)}°`)} · ${millimetres(shape)}`;
 }
 
 function seenCells(sample) {
@@ -121,6 +121,6 @@ function with_(value, textOf) {
 }
 
 function latency(times) {
-  const part = (value) => with_(value, (v) => v.toFixed(1));
+  const part = (value) => with_(value, (v) => fixed(v, 1));
   return times ? `${part(times.last)} · ${part(times.p50)} · ${part(times.p99)} · ${part(times.max)}` : NONE;
 }

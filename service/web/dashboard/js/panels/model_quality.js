@@ -8,6 +8,7 @@ import { prepare, hatch, note } from "../drawing/canvas.js";
 import { colorOf, stepFor } from "../drawing/color_scale.js";
 import { byId, part, setText } from "../drawing/elements.js";
 import { fillTable } from "../drawing/table.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const CELL_ROWS = 14;
@@ -102,11 +103,11 @@ function figures(model, shares) {
   const found = [[tr("quality.number"), String(model.number)]];
   if (model.training_frames !== null) found.push([tr("quality.trained_on"), tr("count.frames", { n: model.training_frames })]);
   if (quality !== null) {
-    found.push([tr("quality.breathing"), `${quality.amplitude_mm.toFixed(1)} mm`], [tr("quality.noise"), `${quality.noise_mm.toFixed(2)} mm`]);
-    found.push([tr("quality.explained"), `${(100 * quality.explained_share).toFixed(1)} %`], [tr("quality.misfit"), `${quality.residual_mm.toFixed(2)} mm`]);
-    found.push([tr("quality.left_out"), `${(100 * quality.outlier_share).toFixed(0)} %`]);
+    found.push([tr("quality.breathing"), `${fixed(quality.amplitude_mm, 1)} mm`], [tr("quality.noise"), `${fixed(quality.noise_mm, 2)} mm`]);
+    found.push([tr("quality.explained"), `${fixed(100 * quality.explained_share, 1)} %`], [tr("quality.misfit"), `${fixed(quality.residual_mm, 2)} mm`]);
+    found.push([tr("quality.left_out"), `${fixed(100 * quality.outlier_share, 0)} %`]);
   }
-  const spectrum = shares.slice(0, SHOWN_COMPONENTS).map((one) => (100 * one).toFixed(1)).join(", ");
+  const spectrum = shares.slice(0, SHOWN_COMPONENTS).map((one) => fixed(100 * one, 1)).join(", ");
   return [...found, [tr("quality.spectrum"), `${spectrum} %`]];
 }
 
@@ -149,6 +150,6 @@ function cells(residual) {
     }
   }
   const head = [tr("tables.row"), ...Array.from({ length: CELL_COLUMNS }, (_, column) => String(column))];
-  const text = ({ square, count }) => (count === 0 ? tr("motion_map.not_measured") : Math.sqrt(square / count).toFixed(2));
+  const text = ({ square, count }) => (count === 0 ? tr("motion_map.not_measured") : fixed(Math.sqrt(square / count), 2));
   return [head, ...sums.map((line, row) => [String(row), ...line.map(text)])];
 }

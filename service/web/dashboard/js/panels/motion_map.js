@@ -80,7 +80,7 @@ function drawCell(context, box, row, column, value, rangeMm, isHidden) {
 }
 
 function outline(context, box, row, column) {
-  context.strokeStyle = "#ffffff";
+  context.strokeStyle = INK.text;
   context.lineWidth = 2;
   context.strokeRect(box.left + column * box.cell, box.top + row * box.cell, box.cell, box.cell);
 }

@@ -4,6 +4,7 @@ import { fetchPicture } from "../api.js";
 import { font, hatch, INK, isUnseen, note, prepare, UNSEEN } from "../drawing/canvas.js";
 import { projectiveMap } from "../drawing/projection.js";
 import { colorOf } from "../drawing/color_scale.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** Period of fetching pictures [ms]: fast enough to see a hand or a sheet, slow enough for the live stream. */
@@ -77,7 +78,7 @@ export class PicturePanel {
     context.drawImage(bitmap, left, top, bitmap.width * zoom, bitmap.height * zoom);
     context.restore();
     if (isOld) {
-      banner(context, left, top, bitmap.width * zoom, isFresh ? tr("picture.picture_is_old_s", { value: ((nowMs - this.picture.atMs) / 1000).toFixed(1) }) : tr("picture.not_the_present_picture"));
+      banner(context, left, top, bitmap.width * zoom, isFresh ? tr("picture.picture_is_old_s", { value: fixed((nowMs - this.picture.atMs) / 1000, 1) }) : tr("picture.not_the_present_picture"));
       return;
     }
     drawHead(context, { left, top, width: bitmap.width * zoom, height: bitmap.height * zoom }, head);
@@ -171,7 +172,7 @@ function path(context, corners) {
 function banner(context, x, y, width, text) {
   context.fillStyle = "rgba(8, 12, 16, 0.78)";
   context.fillRect(x, y, width, 28);
-  context.fillStyle = INK.text;
+  context.fillStyle = "#e9f3fb";
   context.font = font(13, 600);
   context.textAlign = "center";
   context.textBaseline = "middle";

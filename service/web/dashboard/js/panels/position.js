@@ -1,7 +1,7 @@
 /** The patient's position against the plan's: six figures with their tolerance, and the signature of a person. */
 
 import { setText } from "../drawing/elements.js";
-import { signed } from "../drawing/numbers.js";
+import { fixed, signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const SHORT = { lateral: tr("position.lat"), longitudinal: tr("position.long"), vertical: tr("position.vert"), pitch: tr("position.pitch"), roll: tr("position.roll"), yaw: tr("position.yaw") };
@@ -70,6 +70,6 @@ function fill(part, one) {
   setText(part.firstChild, SHORT[one.name]);
   setText(part.lastChild, one.value === null ? "?" : `${signed(one.value, 1)}${unit}${one.is_within ? " ✓" : " ✗"}`);
   const limit = `tolerance ${one.tolerance} ${one.unit}`;
-  const known = one.uncertainty === null ? tr("position.not_known") : `uncertainty ${one.uncertainty.toFixed(1)} ${one.unit}`;
+  const known = one.uncertainty === null ? tr("position.not_known") : tr("position.uncertainty", { value: fixed(one.uncertainty, 1), unit: one.unit });
   part.title = `${one.name}, ${DIRECTIONS[one.name]}: ${one.value === null ? tr("position.not_determined_by_the_surface") : `${signed(one.value, 2)} ${one.unit}`}; ${known}, ${limit}`;
 }

@@ -9,6 +9,7 @@ import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
 import { whatIs } from "../words/reasons.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** Statuses of a session that did not end as a person or a recording would have it. */
@@ -147,7 +148,7 @@ function whenText(session) {
 function figures(session) {
   const { summary } = session;
   const { p50_ms: p50, p99_ms: p99, max_ms: max } = summary.latency;
-  const ms = (value) => (Number.isFinite(value) ? value.toFixed(0) : NONE);
+  const ms = (value) => (Number.isFinite(value) ? fixed(value, 0) : NONE);
   return [
     [tr("report.beam_on", { value: session.is_simulated_beam ? tr("report.simulated") : "" }), onText(summary, session)],
     [tr("report.duty_cycle_while_armed"), dutyText(summary)],

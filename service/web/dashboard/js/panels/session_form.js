@@ -44,9 +44,11 @@ export class SessionForm {
 
   /** Offer the imported plans, the newest first. */
   offerPlans(plans) {
-    this.plans = plans;
+    // One that a search has found may be older than these.
+    const { plan } = this;
+    this.plans = plan === null || plans.some((one) => one.id === plan.id) ? plans : [plan, ...plans];
     const label = (one) => `${one.patient_reference} · ${one.label} · ${one.created_at.slice(0, 10)}`;
-    replaceOptions(this.#input("plan"), [new Option(tr("session_form.none_typed_below"), ""), ...plans.map((one) => new Option(label(one), one.id))]);
+    replaceOptions(this.#input("plan"), [new Option(tr("session_form.none_typed_below"), ""), ...this.plans.map((one) => new Option(label(one), one.id))]);
     this.#showPlan();
   }
 
@@ -76,10 +78,14 @@ export class SessionForm {
     this.#input("calibration_id").replaceChildren(new Option(text, ""));
   }
 
-  /** Enter the number of the plan's next fraction; a field that has the focus is left to the person who types. */
-  enterFraction(number) {
-    const input = this.#input("fraction_number");
-    if (this.plan !== null && input.value === "" && input !== document.activeElement) input.value = number;
+  /** Begin with a plan and its next fraction, or with none; the person goes on with what is not known yet. */
+  choose(plan) {
+    this.reset();
+    if (plan !== null && !this.plans.some((one) => one.id === plan.id)) this.offerPlans([plan, ...this.plans]);
+    this.#input("plan").value = plan?.id ?? "";
+    this.#choosePlan();
+    const next = plan === null ? "patient_reference" : this.#input("source").value === "" ? "source" : "fraction_number";
+    this.#input(next).focus();
   }
 
   /** Enter the values of an earlier session; its fraction is entered by hand. */
@@ -133,7 +139,7 @@ export class SessionForm {
 
   #choosePlan() {
     const { plan } = this;
-    this.#input("fraction_number").value = "";
+    this.#input("fraction_number").value = plan?.next_fraction ?? "";
     // Anew for each plan: the technique of one that was looked at before is not the next one's.
     const isBreathHold = plan?.gating === "breath_hold";
     this.conditions.reset([isBreathHold ? { kind: "breath_hold" } : null]);

@@ -1,13 +1,13 @@
-/** The sessions panel: choose or create a session, upload a calibration. It never covers the gate or the trace. */
+/** The start: the work list, and the form of a new session. It never covers the gate, nor the trace of a session. */
 
-import { createSession, listCalibrations, listDevices, listPlans, listRecordings, listSessions, listSessionsOf, prepareSession, uploadCalibration } from "../api.js";
+import { createSession, listCalibrations, listDevices, listRecordings, prepareSession, uploadCalibration } from "../api.js";
+import { byId } from "../drawing/elements.js";
 import { may, obstacle } from "../people/permissions.js";
-import { localTime } from "../drawing/local_time.js";
 import { isOver } from "./report.js";
 import { SessionForm } from "./session_form.js";
+import { WorkList } from "./work_list.js";
 import { tr } from "../words/words.js";
 
-const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
 
 export class Setup {
@@ -18,19 +18,25 @@ export class Setup {
    */
   constructor(access, onSelect, onOpen) {
     Object.assign(this, { access, onSelect, onOpen });
-    this.panel = document.getElementById("setup");
-    this.toggle = document.getElementById("do-setup");
-    this.form = document.getElementById("new-session");
-    this.outcome = document.getElementById("setup-outcome");
+    this.panel = byId("setup");
+    this.toggle = byId("do-setup");
+    this.form = byId("new-session");
+    this.outcome = byId("setup-outcome");
     this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
-    document.getElementById("setup-close").addEventListener("click", () => this.show(false));
+    byId("setup-close").addEventListener("click", () => this.show(false));
     this.fields = new SessionForm(this.form);
-    this.form.elements.namedItem("plan").addEventListener("change", () => this.#proposeFraction());
+    this.list = new WorkList({
+      onPlan: (plan) => this.#setUp(plan),
+      onSession: (session) => this.#take(session),
+      onAgain: (session) => this.#again(session),
+      onPlans: (plans) => this.fields.offerPlans(plans),
+    });
+    byId("work-typed").addEventListener("click", () => this.#setUp(null));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.#create();
     });
-    document.getElementById("calibration-file").addEventListener("change", (event) => this.#upload(event.target));
+    byId("calibration-file").addEventListener("change", (event) => this.#upload(event.target));
   }
 
   show(isShown) {
@@ -48,7 +54,7 @@ export class Setup {
   forget() {
     this.show(false);
     this.#empty();
-    document.getElementById("session-list").replaceChildren();
+    this.list.forget();
     this.#say("", "");
   }
 
@@ -66,68 +72,30 @@ export class Setup {
   /** Reload sessions, calibrations and cameras. */
   async refresh() {
     if (this.panel.hidden) return;
-    await Promise.all([this.#loadSessions(), this.#loadPlans(), this.#loadCalibrations(), this.#loadSources()]);
+    await Promise.all([this.list.refresh(), this.#loadCalibrations(), this.#loadSources()]);
   }
 
-  async #loadSessions() {
-    const empty = document.getElementById("session-empty");
-    try {
-      const { items } = await listSessions(SHOWN);
-      document.getElementById("session-list").replaceChildren(...items.map((session) => this.#row(session)));
-      empty.textContent = items.length > 0 ? "" : tr("setup.no_session_yet_create_the_first_one_here");
-    } catch (error) {
-      empty.textContent = error.message;
-    }
-    empty.hidden = empty.textContent === "";
+  /** Fill the form for a plan's next fraction; for null a person types patient and plan. */
+  #setUp(plan) {
+    this.fields.choose(plan);
+    this.#say("", plan === null ? "" : tr("work.check_camera", { patient_reference: plan.patient_reference, label: plan.label }));
   }
 
-  #row(session) {
-    const item = document.createElement("li");
-    const choose = document.createElement("button");
-    choose.type = "button";
-    choose.append(part("strong", session.patient_reference), part("span", `${session.plan_id} · ${session.fraction_id}`), status(session));
-    const isPast = isOver(session);
-    choose.className = isPast ? "open" : "";
-    choose.disabled = session.status !== "created" && !isPast;
-    choose.title = isPast ? tr("setup.show_its_summary") : "";
-    choose.append(part("time", localTime(session.started_at ?? session.created_at)));
-    choose.addEventListener("click", () => {
-      if (isPast) this.#say("failed", this.onOpen(session));
-      else {
-        this.onSelect(session);
-        this.show(false);
-      }
-    });
-    item.append(choose);
-    if (session.status !== "created") item.append(this.#again(session));
-    return item;
+  /** Show a session that is over, or take up one that was created. */
+  #take(session) {
+    if (isOver(session)) return this.#say("failed", this.onOpen(session));
+    this.onSelect(session);
+    this.show(false);
   }
 
-  /** Offer a new session with an earlier one's values; its fraction is entered by hand. */
   #again(session) {
-    const again = document.createElement("button");
-    again.type = "button";
-    again.className = "again";
-    again.textContent = tr("setup.new_as_in_this");
-    again.title = tr("setup.enter_the_values_of_for_a_new_fraction", { patient_reference: session.patient_reference, fraction_id: session.fraction_id });
-    again.addEventListener("click", () => {
-      this.fields.fillFrom(session);
-      this.#say("", tr("setup.as_in_of_check_each_value_and_enter_the_frac", { fraction_id: session.fraction_id, patient_reference: session.patient_reference }));
-    });
-    return again;
+    this.fields.fillFrom(session);
+    this.#say("", tr("setup.as_in_of_check_each_value_and_enter_the_frac", { fraction_id: session.fraction_id, patient_reference: session.patient_reference }));
   }
 
   #empty() {
     this.fields.reset();
     this.#say("", "");
-  }
-
-  async #loadPlans() {
-    try {
-      this.fields.offerPlans((await listPlans()).items);
-    } catch {
-      // A session can be typed without the list.
-    }
   }
 
   async #loadCalibrations(wanted) {
@@ -142,19 +110,6 @@ export class Setup {
     const none = () => ({ items: [] });
     const [devices, recordings] = await Promise.all([listDevices().catch(none), listRecordings().catch(none)]);
     this.fields.offerSources(devices.items, recordings.items);
-  }
-
-  /** Propose the plan's next fraction: one more than the highest that was started. */
-  async #proposeFraction() {
-    const { plan } = this.fields;
-    if (plan === null) return;
-    try {
-      const { items } = await listSessionsOf(plan.patient_reference, plan.label);
-      const numbers = items.filter((one) => one.started_at !== null).map((one) => one.fraction_number ?? 0);
-      if (this.fields.plan?.id === plan.id) this.fields.enterFraction(1 + Math.max(0, ...numbers));
-    } catch {
-      // The number can be typed.
-    }
   }
 
   async #upload(input) {
@@ -203,20 +158,4 @@ export class Setup {
     this.outcome.dataset.kind = kind;
     this.outcome.textContent = text;
   }
-}
-
-function byId(id) {
-  return document.getElementById(id);
-}
-
-function status(session) {
-  const element = part("em", tr(`status.${session.status}`));
-  element.dataset.status = session.status;
-  return element;
-}
-
-function part(name, text) {
-  const element = document.createElement(name);
-  element.textContent = text;
-  return element;
 }

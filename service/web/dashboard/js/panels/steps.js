@@ -8,6 +8,7 @@ import { byId, part } from "../drawing/elements.js";
 import { describe as describeWindow } from "../stream/gating_window.js";
 import { roomMoveOf } from "../stream/gate_state.js";
 import { needsReference } from "./training.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const TITLES = {
@@ -118,7 +119,7 @@ function cameraStep(sample, session) {
   if (!view) return step("camera", true, "");
   const figures = [
     view.distance_mm === null ? tr("steps.no_depth") : `${Math.round(view.distance_mm / 10)} cm`,
-    view.tilt_deg === null ? null : tr("steps.tilt", { value: view.tilt_deg.toFixed(0) }),
+    view.tilt_deg === null ? null : tr("steps.tilt", { value: fixed(view.tilt_deg, 0) }),
     tr("steps.with_depth", { value: Math.round(100 * view.coverage) }),
     tr("steps.light", { value: Math.round(100 * view.brightness) }),
     view.running_s >= 60 ? tr("steps.on_for_min", { value: Math.floor(view.running_s / 60) }) : null,
@@ -138,7 +139,7 @@ function trainingText(sample, model) {
   if (!model?.quality) return tr("steps.the_model_is_in_use");
   const { amplitude_mm: amplitude, explained_share: explained, residual_mm: residual } = model.quality;
   const parts = (model.share ?? []).slice(0, 4).map((one) => Math.round(100 * one)).join(", ");
-  return tr("steps.mm_of_breathing_explained_residual_mm", { value: amplitude.toFixed(1), value2: Math.round(100 * explained), value3: residual.toFixed(2), value4: parts === "" ? "" : tr("steps.components", { parts }) });
+  return tr("steps.mm_of_breathing_explained_residual_mm", { value: fixed(amplitude, 1), value2: Math.round(100 * explained), value3: fixed(residual, 2), value4: parts === "" ? "" : tr("steps.components", { parts }) });
 }
 
 function referenceText(sample, session) {

@@ -11,7 +11,8 @@ import { byId, setText } from "../drawing/elements.js";
 import * as layers from "../drawing/trace_layers.js";
 import { conditionsOf, gatedUnit, hasEdges, hasSameSignal, signalName } from "../stream/gating_window.js";
 import { KEPT_S, TraceSamples, words } from "../stream/trace_samples.js";
-import { TraceView } from "./trace_view.js";
+import { SPAN_S, TraceView } from "./trace_view.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** What the prediction of another window looks at [s]. */
@@ -40,7 +41,7 @@ export class Trace {
     this.kept = new TraceSamples();
     this.view = new TraceView();
     this.nowS = 0;
-    this.chart = new Chart(host, [layers.COLORS.line, layers.COLORS.thorax, layers.COLORS.abdomen], {
+    this.chart = new Chart(host, ["line", "thorax", "abdomen"].map((name) => () => layers.COLORS[name]), {
       below: (pen) => this.#drawBelow(pen),
       above: (pen) => this.#drawAbove(pen),
       times: (from, to) => this.#times(from, to),
@@ -123,6 +124,12 @@ export class Trace {
 
   toLive() {
     this.view.toLive();
+  }
+
+  /** Stand still around a time of day [ms], as far as it is kept. */
+  lookAt(atMs) {
+    const sample = this.kept.all.findLast((one) => one.atMs <= atMs);
+    if (sample !== undefined) this.view.hold(sample.t - SPAN_S / 2, sample.t + SPAN_S / 2, performance.now());
   }
 
   #listen() {
@@ -222,7 +229,7 @@ export class Trace {
     layers.clip(pen);
     layers.drawBeam(pen, this.kept.runs(from, to, (sample) => sample.isOn));
     layers.drawGaps(pen, this.kept.gaps(this.choice, from, to, this.nowS));
-    layers.drawReference(pen, this.#showsGated() ? this.referenceText : "");
+    layers.drawReference(pen);
     for (const condition of this.#shown()) if (hasEdges(condition)) layers.drawWindow(pen, condition);
     if (this.proposal !== null && this.choice === "gated") {
       layers.drawProposal(pen, this.proposal);
@@ -237,10 +244,12 @@ export class Trace {
     const last = this.kept.all.at(-1);
     if (last === undefined || this.window === null) return;
     const [from, to] = this.view.range(this.nowS);
+    const [steps, holds] = [this.kept.steps.filter(({ t }) => t >= from), this.kept.holds(from, to)];
+    layers.drawLane(pen, [...layers.labelsOf(holds, steps), ...(this.#showsGated() ? this.marks.labels(from) : [])]);
     layers.clip(pen);
-    layers.drawSteps(pen, this.kept.steps.filter(({ t }) => t >= from));
+    layers.drawSteps(pen, steps);
     layers.drawStates(pen, this.kept.states(from, to));
-    layers.drawHolds(pen, this.kept.holds(from, to));
+    layers.drawHolds(pen, holds);
     if (Number.isFinite(last[this.choice])) layers.drawNow(pen, last.t, last[this.choice]);
     if (this.#showsGated() || this.#shown().length > 0) return;
     layers.drawRemark(pen, tr("trace.not_the_gated_signal_the_window_is_on", { value: signalName(conditionsOf(this.window)[0]) }));
@@ -288,10 +297,10 @@ export class Trace {
   #valuesOf(sample) {
     const unit = this.#unit();
     const names = [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))].filter((name) => Number.isFinite(sample[name]));
-    const values = names.map((name) => `${name === this.choice ? "" : `${name} `}${sample[name].toFixed(unit === "l" ? 2 : 1)} ${unit}`);
+    const values = names.map((name) => `${name === this.choice ? "" : `${name} `}${fixed(sample[name], unit === "l" ? 2 : 1)} ${unit}`);
     if (values.length === 0) values.push(tr("trace.not_measured"));
     const cause = ["hold", "fault"].includes(sample.gate) && sample.reason ? `: ${words(sample.reason)}` : "";
-    return [tr("trace.s_ago", { value: (this.nowS - sample.t).toFixed(1), value2: this.#clock(sample.t) }), ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
+    return [tr("trace.s_ago", { value: fixed(this.nowS - sample.t, 1), value2: this.#clock(sample.t) }), ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
   }
 }
 

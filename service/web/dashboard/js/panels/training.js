@@ -1,6 +1,7 @@
 /** The training panel: progress, model and reference, and the reasons that disable buttons. */
 
 import { setText } from "../drawing/elements.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** First words of the controller's notes, for stages that its numbers do not distinguish; tests compare them with the engine. */
@@ -80,7 +81,7 @@ function stageText(stage, progress) {
 
 function progressText(progress) {
   if (!progress) return "";
-  const parts = [tr("count.frames", { n: progress.frames }), cycles(progress.cycles), `${progress.seconds.toFixed(0)} s`];
+  const parts = [tr("count.frames", { n: progress.frames }), cycles(progress.cycles), `${fixed(progress.seconds, 0)} s`];
   return [...parts, progress.note].filter(Boolean).join(" · ");
 }
 

@@ -5,6 +5,7 @@
 
 import { byId, setText } from "../drawing/elements.js";
 import { shortReason, whatIs } from "../words/reasons.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const NONE = "–";
@@ -63,7 +64,7 @@ function countText(holds) {
 /** A time as "41.2 s", "3:07 min" or "1:02:07 h". */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return NONE;
-  if (seconds < 100) return `${seconds.toFixed(1)} s`;
+  if (seconds < 100) return `${fixed(seconds, 1)} s`;
   const whole = Math.floor(seconds);
   const two = (value) => String(value).padStart(2, "0");
   const [hours, minutes, rest] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];

@@ -7,6 +7,7 @@ import { setWindow, withoutNulls } from "../api.js";
 import { byId, setText } from "../drawing/elements.js";
 import { conditionsOf, gatedUnit } from "../stream/gating_window.js";
 import { forecast } from "../stream/window_forecast.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 /** Distance from an edge at which the pointer takes it [px]. */
@@ -156,7 +157,7 @@ export class WindowEditor {
     const length = this.#length;
     const moved = Math.max(...values) - Math.min(...values);
     if (this.#place !== 0 || values.length === 0 || moved > STILL[length]) {
-      const shown = Number.isFinite(moved) ? `${moved.toFixed(DIGITS[length])} ${length}` : "–";
+      const shown = Number.isFinite(moved) ? `${fixed(moved, DIGITS[length])} ${length}` : "–";
       Object.assign(this, { said: tr("window_editor.hold_the_breath_still", { seconds: HELD_S, moved: shown }), saidMs: performance.now() });
       this.#show();
       return;
@@ -291,6 +292,6 @@ function heldValues(samples) {
 
 function forecastText(found, why) {
   if (found === null) return why;
-  const shortest = found.shortestS === null ? tr("window_editor.no_complete_pulse") : tr("window_editor.shortest_s", { value: found.shortestS.toFixed(1) });
-  return tr("window_editor.predicted_from_the_last_s_beam_on_pulses_min", { value: Math.round(found.seconds), value2: Math.round(found.percent), value3: found.pulsesPerMin.toFixed(0), shortest });
+  const shortest = found.shortestS === null ? tr("window_editor.no_complete_pulse") : tr("window_editor.shortest_s", { value: fixed(found.shortestS, 1) });
+  return tr("window_editor.predicted_from_the_last_s_beam_on_pulses_min", { value: Math.round(found.seconds), value2: Math.round(found.percent), value3: fixed(found.pulsesPerMin, 0), shortest });
 }

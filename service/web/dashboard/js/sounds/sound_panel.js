@@ -1,6 +1,7 @@
 /** The state of the sound in the header, always to be seen, and the panel for volume, test and silence. */
 
 import { byId, setText } from "../drawing/elements.js";
+import { offerThemes } from "../drawing/theme.js";
 import { offerLanguages } from "../words/document.js";
 import { tr } from "../words/words.js";
 import { AlarmSounds } from "./alarm_sounds.js";
@@ -26,6 +27,7 @@ export class SoundPanel {
     byId("sounds-close").addEventListener("click", () => this.show(false));
     this.quiet.addEventListener("click", () => this.#silence(performance.now()));
     offerLanguages(byId("language"));
+    offerThemes(byId("theme"));
   }
 
   show(isShown) {

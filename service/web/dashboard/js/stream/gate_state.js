@@ -6,6 +6,7 @@
 
 import { FAULT_MS, IDLE_STALE_MS, STALE_MS } from "./live_stream.js";
 import { adviceFor, whatIs } from "../words/reasons.js";
+import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
 const WORDS = { disarmed: tr("gate_state.disarmed"), hold: tr("gate_state.hold"), dwell: tr("gate_state.dwell"), beam_on: tr("gate_state.beam_on"), fault: tr("gate_state.fault") };
@@ -38,7 +39,7 @@ export function present(stream, nowMs) {
   const ageMs = stream.ageMs(nowMs);
   if (message.type === "idle") {
     if (ageMs > IDLE_STALE_MS) return stale(ageMs);
-    return { ...stopped("idle", tr("gate_state.no_session"), tr("gate_state.the_beam_is_held_create_or_start_a_session"), null), isFresh: true, isCurrent: true };
+    return { ...stopped("idle", tr("gate_state.no_session"), tr("gate_state.the_beam_is_held"), null), isFresh: true, isCurrent: true };
   }
   // A latched fault stays valid without new frames, so it is shown as long as the controller sends messages; and beyond a
   // short silence, in which the engine is replaced: a fault that gives way to "stale" would look as if it were over.
@@ -81,7 +82,7 @@ function reasonOf({ gate, hold_reason: code, hold_text: sentence }) {
 
 /** How couch or camera have moved since the reference, which the next one has to confirm; null where neither has. */
 export function roomMoveOf(sample) {
-  return sample?.lost?.moved ? { what: sample.lost.moved, mm: sample.lost.moved_mm.toFixed(1) } : null;
+  return sample?.lost?.moved ? { what: sample.lost.moved, mm: fixed(sample.lost.moved_mm, 1) } : null;
 }
 
 function adviceOf(message) {

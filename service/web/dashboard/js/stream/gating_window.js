@@ -1,5 +1,6 @@
 /** The gating window of a sample: its conditions, their signals and names. */
 
+import { fixed } from "../drawing/numbers.js";
 import { has, tr } from "../words/words.js";
 
 /** @returns {object[]} the conditions; the first one's signal is the gated one; empty without a window */
@@ -37,10 +38,15 @@ export function hasEdges(condition) {
   return condition.unit !== "percent" && Number.isFinite(condition.lower) && Number.isFinite(condition.upper);
 }
 
-/** Short description of the conditions. */
-export function describe(window) {
+/** Short description of the conditions, with their edges if they are wanted and known. */
+export function describe(window, hasEdgesToo = false) {
   const join = window?.join === "or" ? tr("signal.or") : tr("signal.and");
-  return conditionsOf(window).map((one) => `${signalName(one)}${KINDS[one.kind] ?? ""}`).join(join);
+  return conditionsOf(window).map((one) => `${signalName(one)}${KINDS[one.kind] ?? ""}${hasEdgesToo && hasEdges(one) ? `, ${edgesText(one)}` : ""}`).join(join);
+}
+
+function edgesText({ lower, upper, unit }) {
+  const digits = unit === "l" ? 2 : 1;
+  return tr("gating_window.edges", { lower: fixed(lower, digits), upper: fixed(upper, digits), unit });
 }
 
 const KINDS = { amplitude: "", breath_hold: tr("gating_window.breath_hold"), phase: tr("gating_window.phase") };
