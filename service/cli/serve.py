@@ -153,7 +153,7 @@ def _warn(settings: "Settings") -> None:
 
 
 def _print_first_password(name: str, password: str) -> None:
-    """Print the first account's password on the terminal only: it is in no log and in no file."""
+    """Print the first account's password on standard output only: it is in none of our logs and files."""
     say(
         f"No account exists yet. The first account is {name!r} with this one-time password, shown only now, to be "
         f"changed at the first log-in:\n\n    {password}\n"

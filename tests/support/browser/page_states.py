@@ -191,7 +191,7 @@ def _must_change(fake: FakeService) -> None:
 def _admin(fake: FakeService) -> None:
     fake.person = person("Grace", Role.ADMIN, is_break_glass=True)
     fake.people = [user("Grace", Role.ADMIN), user("A. Therapist", Role.THERAPIST, is_disabled=True)]
-    fake.keys = [api_key("planning", "sessions.read", "sessions.create")]
+    fake.keys = [api_key("planning", "sessions.read", "sessions.run")]
 
 
 def _events(fake: FakeService) -> None:

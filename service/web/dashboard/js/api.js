@@ -1,5 +1,6 @@
 /** All HTTP calls of the page. A problem (RFC 9457) becomes an ApiError whose message includes field and bound. */
 
+import { said } from "./drawing/elements.js";
 import { tr } from "./words/words.js";
 
 const ROOT = "/api/v1";
@@ -13,6 +14,8 @@ export class ApiError extends Error {
     this.status = status;
     this.code = problem.code ?? "";
     this.field = problem.field ?? "";
+    /** Every field that was refused, with its value and bound. */
+    this.errors = problem.errors ?? [];
     this.retryAfterS = null;
   }
 }
@@ -27,11 +30,12 @@ export function onRefusal(listener) {
 }
 
 function sentence(status, problem) {
-  const detail = problem.detail || problem.title || tr("api.the_controller_answered", { status });
+  const own = problem.detail || problem.title || "";
+  const detail = own === "" || problem.code === "unreachable" ? own || tr("api.the_controller_answered", { status }) : said(own);
   const parts = [detail];
-  if (problem.field && !detail.includes(problem.field)) parts.push(tr("api.field", { field: problem.field }));
-  if (problem.value && !detail.includes(problem.value)) parts.push(tr("api.given", { value: problem.value }));
-  if (problem.bound && !detail.includes(problem.bound)) parts.push(tr("api.must_be", { bound: problem.bound }));
+  if (problem.field && !detail.includes(problem.field)) parts.push(tr("api.field", { field: said(problem.field) }));
+  if (problem.value && !detail.includes(problem.value)) parts.push(tr("api.given", { value: said(problem.value) }));
+  if (problem.bound && !detail.includes(problem.bound)) parts.push(tr("api.must_be", { bound: said(problem.bound) }));
   return parts.join(" ");
 }
 

@@ -14,7 +14,7 @@ import { Controls } from "./panels/controls.js";
 import { DistanceView } from "./panels/distance.js";
 import { EventList } from "./panels/events.js";
 import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderReference, renderSource } from "./panels/measurement.js";
-import { setText } from "./drawing/elements.js";
+import { said, setText } from "./drawing/elements.js";
 import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
 import { needsReference, renderLearning } from "./panels/training.js";
@@ -24,6 +24,7 @@ import { LogIn } from "./people/login.js";
 import { PeoplePanel } from "./people/people.js";
 import { ModelQuality } from "./panels/model_quality.js";
 import { PicturePanel } from "./panels/picture.js";
+import { rolesText } from "./people/permissions.js";
 import { Presence } from "./people/presence.js";
 import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
@@ -110,8 +111,8 @@ function followAccess() {
   logIn.show();
   byId("person").hidden = access.person === null;
   setText(byId("person-name"), access.person?.name ?? "");
-  setText(byId("person-roles"), access.person?.roles.join(", ") ?? "");
-  byId("do-account").title = access.person === null ? "" : tr("main.change_your_password", { name: access.person.name, value: access.person.roles.join(", ") });
+  setText(byId("person-roles"), rolesText(access.person?.roles ?? []));
+  byId("do-account").title = access.person === null ? "" : tr("main.change_your_password", { name: access.person.name, value: rolesText(access.person.roles) });
   byId("badge-glass").hidden = access.person?.is_break_glass !== true;
   byId("do-people").hidden = !access.may("people");
   if (!access.may("people")) people.show(false);
@@ -194,7 +195,7 @@ async function logOut() {
     return;
   }
   try {
-    await access.leave();
+    await access.leave(stream.message?.is_armed === true && stream.message.armed_by === access.person?.name);
   } catch (error) {
     controls.say("failed", tr("main.log_out_you_are_still_logged_in", { message: error.message }));
   }
@@ -300,7 +301,7 @@ async function labelReference(sample, nowMs) {
   try {
     const { answer } = await readArming(sample.session_id);
     const text = answer.items.find((one) => one.code === "reference" && one.state !== "missing")?.text ?? "";
-    if (labelled.key === key) trace.referenceText = text.split(/, set by |; /)[0];
+    if (labelled.key === key) trace.referenceText = said(text.split(/, set by |; /)[0]);
   } catch {
     // It is read again.
   }
@@ -315,7 +316,7 @@ function renderWho(view) {
 }
 
 function fraction({ fraction_id: id, fraction_number: number }) {
-  return number === null || number === undefined ? id : `${id} (no. ${number})`;
+  return number === null || number === undefined ? id : tr("main.fraction_no", { id, number });
 }
 
 /** Update everything that can become stale; called by a timer and by every animation frame. */
@@ -332,7 +333,7 @@ function render() {
     view.reason = tr("main.start_the_session_of_when_the_patient_lies_s", { patient_reference: session.patient_reference });
   }
   view.warning = mismatch.check(sample, nowMs) || urgentText(activeAlarms, sample?.hold_reason ?? null) || view.warning;
-  if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
+  if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. ${tr("main.set_the_reference_before_arming")}`;
   gate.render(view, nowMs);
   // Drawn with the gate, not with the other numbers: the two must always agree.
   setText(byId("figure-line"), lineText(sample));

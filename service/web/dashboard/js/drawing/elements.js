@@ -2,9 +2,19 @@
 
 export const byId = (id) => document.getElementById(id);
 
+/** What the service says in its own language is set off by the isolates of Unicode, and shown in an element that says so. */
+const [OPEN, CLOSE] = ["\u2068", "\u2069"];
+const QUOTED = new RegExp(`${OPEN}([^${CLOSE}]*)${CLOSE}`);
+const shown = new WeakMap();
+
+/** Mark a text as the service's own, which no language file has. */
+export function said(text) {
+  return text ? `${OPEN}${text}${CLOSE}` : "";
+}
+
 export function part(name, text, className = "") {
   const element = document.createElement(name);
-  element.textContent = text;
+  setText(element, text);
   if (className !== "") element.className = className;
   return element;
 }
@@ -44,10 +54,25 @@ export function ticked(root) {
 
 export function say(element, kind, text) {
   element.dataset.kind = kind;
-  element.textContent = text;
+  setText(element, text);
 }
 
 /** Set the text of an element; leaves the document untouched if it does not change. */
 export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  if (!text.includes?.(OPEN)) {
+    shown.delete(element);
+    if (element.textContent !== text) element.textContent = text;
+    return;
+  }
+  if (shown.get(element) === text) return;
+  shown.set(element, text);
+  // Every second piece is the service's.
+  element.replaceChildren(...text.split(QUOTED).map((piece, i) => (i % 2 === 0 ? piece : inEnglish(piece))));
+}
+
+function inEnglish(text) {
+  const element = document.createElement("span");
+  element.lang = "en";
+  element.textContent = text;
+  return element;
 }

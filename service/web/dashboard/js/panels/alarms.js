@@ -6,7 +6,7 @@
  */
 
 import { acknowledgeAlarms } from "../api.js";
-import { part, setText } from "../drawing/elements.js";
+import { part, said, setText } from "../drawing/elements.js";
 import { adviceFor, whatIs } from "../words/reasons.js";
 import { tr } from "../words/words.js";
 
@@ -39,7 +39,9 @@ export class AlarmPanel {
     active.forEach((alarm, place) => this.#show(alarm, place, alarms.ageMs(alarm.since), nowMs));
     this.open = active.filter((one) => one.acknowledged_by === null && !(one.latches && isFault));
     const why = this.controls.forbids("acknowledge");
-    this.button.disabled = this.open.length === 0 || why !== "";
+    // While everything is latched, the fault's own button is the only one.
+    this.button.hidden = this.open.length === 0;
+    this.button.disabled = why !== "";
     this.button.title = why === "" ? "" : tr("alarms.not_now", { why });
     setText(this.note, isFault && active.some((one) => one.latches) ? tr("alarms.latched_acknowledge_the_fault") : "");
   }
@@ -53,7 +55,7 @@ export class AlarmPanel {
     if (this.list.children[place] !== row.item) this.list.insertBefore(row.item, this.list.children[place] ?? null);
     row.item.dataset.acknowledged = alarm.acknowledged_by === null ? "no" : "yes";
     setText(row.age, duration(ageMs));
-    setText(row.who, [alarm.detail, alarm.acknowledged_by === null ? "" : tr("alarms.seen_by", { acknowledged_by: alarm.acknowledged_by })].filter(Boolean).join(" · "));
+    setText(row.who, [said(alarm.detail), alarm.acknowledged_by === null ? "" : tr("alarms.seen_by", { acknowledged_by: alarm.acknowledged_by })].filter(Boolean).join(" · "));
   }
 
   #remove(number) {

@@ -4,7 +4,7 @@
  */
 
 import { arm, countersign, readArming } from "../api.js";
-import { byId, part, setText } from "../drawing/elements.js";
+import { byId, part, said, setText } from "../drawing/elements.js";
 import { rememberArming } from "../people/presence.js";
 import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
 import { ClickGuard } from "./click_guard.js";
@@ -173,7 +173,7 @@ function itemLine({ code, state, text }) {
   mark.setAttribute("aria-hidden", "true");
   const words = part("dd", "");
   if (WORDS[state] !== "") words.append(part("strong", WORDS[state]));
-  words.append(text);
+  words.append(part("span", said(text)));
   line.append(mark, part("dt", TITLES[code] ?? code), words);
   return line;
 }
@@ -186,6 +186,6 @@ function edgesText(window) {
       const name = one.kind === "breath_hold" ? tr("arming.breath_hold") : "";
       return hasEdges(one) ? tr("arming.to", { one: signalName(one), name, value: fixed(one.lower, digits), value2: fixed(one.upper, digits), unit: one.unit }) : tr("arming.to_2", { one: signalName(one), name, lower: one.lower, upper: one.upper });
     })
-    .join(window?.join === "or" ? " or " : " and ")
+    .join(window?.join === "or" ? tr("signal.or") : tr("signal.and"))
     .replaceAll("-", "−");
 }

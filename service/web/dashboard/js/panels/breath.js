@@ -1,6 +1,6 @@
 /** The breathing panel: phase, rate, amplitude, drift, events and breath hold; a dash for unknown values. */
 
-import { setText } from "../drawing/elements.js";
+import { said, setText } from "../drawing/elements.js";
 import { fixed, signed } from "../drawing/numbers.js";
 import { conditionsOf } from "../stream/gating_window.js";
 import { tr } from "../words/words.js";
@@ -69,7 +69,7 @@ function renderPhase(sample, breath) {
 function unknown(sample, breath) {
   if (sample === null) return tr("breath.phase_unknown");
   if (breath === null) return sample.state === "measuring" ? tr("breath.phase_unknown_this_signal_has_no_breathing_a") : tr("breath.phase_unknown_not_measured");
-  return tr("breath.phase_unknown_2", { value: breath.note || tr("breath.no_reason_given") });
+  return tr("breath.phase_unknown_2", { value: said(breath.note) || tr("breath.no_reason_given") });
 }
 
 /** Return a point of the ring: 0 % at the top, clockwise. */

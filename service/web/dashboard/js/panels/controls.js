@@ -310,7 +310,8 @@ export class Controls {
     this.update(this.context);
     try {
       await call();
-      if (this.busy === mine) this.say("done", DONE[action], action);
+      const isDisarmed = this.context.sample?.is_armed !== true;
+      if (this.busy === mine) this.say("done", action === "release" && isDisarmed ? tr("controls.released") : DONE[action], action);
     } catch (error) {
       // A failed hold or disarm stays visible after later answers: it names the other way to stop the beam.
       this.say("failed", `${label(action)}: ${error.message}${action in HALTS ? elsewhere(action) : ""}`);

@@ -1,6 +1,7 @@
 /** The events panel: the newest rows of the session's audit log as sentences, one a pulse; a click shows the trace at that time. */
 
 import { listAudit } from "../api.js";
+import { part, said, setText } from "../drawing/elements.js";
 import { fixed } from "../drawing/numbers.js";
 import { has, tr } from "../words/words.js";
 
@@ -85,7 +86,7 @@ export class EventList {
   }
 
   #sayEmpty(text) {
-    this.empty.textContent = text;
+    setText(this.empty, text);
     this.empty.hidden = text === "";
   }
 }
@@ -135,7 +136,7 @@ function reason(entry) {
   const detail = entry.detail ?? {};
   const why = detail.reason ?? detail.code ?? detail.detail ?? "";
   if (typeof why !== "string" || stateAfter(entry) === "beam_on") return "";
-  return has(`hold.${why}.what`) ? tr(`hold.${why}.what`) : why.replaceAll("_", " ");
+  return has(`hold.${why}.what`) ? tr(`hold.${why}.what`) : said(why.replaceAll("_", " "));
 }
 
 function by(entry) {
@@ -145,10 +146,4 @@ function by(entry) {
 function clock(at) {
   const time = new Date(at);
   return Number.isNaN(time.getTime()) ? "" : time.toLocaleTimeString("en-GB");
-}
-
-function part(name, text) {
-  const element = document.createElement(name);
-  element.textContent = text;
-  return element;
 }

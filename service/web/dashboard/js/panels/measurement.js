@@ -1,6 +1,6 @@
 /** The measurement panel: values of the newest fresh sample, a dash for values that were not measured. */
 
-import { part, setText } from "../drawing/elements.js";
+import { part, said, setText } from "../drawing/elements.js";
 import { fixed, signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
@@ -44,20 +44,20 @@ function check({ name, state, seconds, text }) {
   const label = tr(`checks.${name}`);
   const item = part("span", state === "on" ? `✓ ${label}` : `✕ ${label} ${tr(`checks.${state}`)}${time}`);
   Object.assign(item.dataset, { check: name, state });
-  item.title = text;
+  item.title = state === "on" ? "" : text;
   return item;
 }
 
 /** Show how far the zero of the trace lies from the fraction's first reference; marked beyond the site's budget. */
 export function renderReference(reference) {
   const line = document.getElementById("reference-distance");
-  setText(line, reference ? `${capitalized(reference.text)}${parts(reference)}` : "");
+  setText(line, reference ? `${said(capitalized(reference.text))}${parts(reference)}` : "");
   line.dataset.bad = reference?.is_beyond ? "yes" : "no";
   line.title = reference?.distance_mm ? rotation(reference) : "";
 }
 
 function parts(reference) {
-  if (reference.distance_mm === null) return `: ${reference.unknown}`;
+  if (reference.distance_mm === null) return `: ${said(reference.unknown)}`;
   return tr("measurement.height_shift", { value: signed(reference.height_mm, 1), value2: fixed(reference.shift_mm, 1) });
 }
 

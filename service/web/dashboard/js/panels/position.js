@@ -1,6 +1,6 @@
 /** The patient's position against the plan's: six figures with their tolerance, and the signature of a person. */
 
-import { setText } from "../drawing/elements.js";
+import { said, setText } from "../drawing/elements.js";
 import { fixed, signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
@@ -53,9 +53,9 @@ export function renderPosition(check, proposal, name) {
 
 function textOf(check, isProposed) {
   if (check.status === "signed") return tr("position.position_signed_by", { signed_by: check.signed_by, value: check.reason === "" ? "" : `: ${check.reason}` });
-  if (check.status === "unsigned") return check.is_within ? tr("position.position_within_tolerance_of_the_plan_s") : tr("position.position_not_within_tolerance", { value: check.shortcomings.join(", ") });
+  if (check.status === "unsigned") return check.is_within ? tr("position.position_within_tolerance_of_the_plan_s") : tr("position.position_not_within_tolerance", { value: said(check.shortcomings.join(", ")) });
   const present = isProposed ? tr("position.proposed") : "";
-  return check.status === "lapsed" ? tr("position.position_to_be_taken_again", { lapse: check.lapse, present }) : tr("position.position_against_the_plan_s_set_the_referenc", { present });
+  return check.status === "lapsed" ? tr("position.position_to_be_taken_again", { lapse: said(check.lapse), present }) : tr("position.position_against_the_plan_s_set_the_referenc", { present });
 }
 
 function cell() {
@@ -69,7 +69,7 @@ function fill(part, one) {
   part.dataset.within = one.is_within ? "yes" : "no";
   setText(part.firstChild, SHORT[one.name]);
   setText(part.lastChild, one.value === null ? "?" : `${signed(one.value, 1)}${unit}${one.is_within ? " ✓" : " ✗"}`);
-  const limit = `tolerance ${one.tolerance} ${one.unit}`;
+  const limit = tr("position.tolerance", { value: fixed(one.tolerance, 1), unit: one.unit });
   const known = one.uncertainty === null ? tr("position.not_known") : tr("position.uncertainty", { value: fixed(one.uncertainty, 1), unit: one.unit });
   part.title = `${one.name}, ${DIRECTIONS[one.name]}: ${one.value === null ? tr("position.not_determined_by_the_surface") : `${signed(one.value, 2)} ${one.unit}`}; ${known}, ${limit}`;
 }

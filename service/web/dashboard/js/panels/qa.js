@@ -1,7 +1,7 @@
 /** QA: the newest run of each kind with its report, and a badge while overdue QA prevents arming. */
 
 import { qaReportUrl, readQaStatus } from "../api.js";
-import { setText } from "../drawing/elements.js";
+import { part, said, setText } from "../drawing/elements.js";
 import { tr } from "../words/words.js";
 
 const ASK_MS = 20_000;
@@ -44,7 +44,7 @@ export class QaPanel {
   #show(status) {
     this.list.replaceChildren(...KINDS.map((kind) => row(kind, status.newest[kind])));
     this.badge.hidden = status.is_arming_allowed;
-    this.badge.title = status.refusal ?? "";
+    this.badge.title = status.refusal ? tr("qa.arming_is_refused", { refusal: said(status.refusal) }) : "";
     setText(this.badge, isFailed(status) ? tr("qa.qa_failed") : tr("qa.qa_due"));
     setText(byId("qa-note"), note(status));
   }
@@ -55,19 +55,19 @@ function isFailed(status) {
 }
 
 function note(status) {
-  if (!status.is_arming_allowed) return tr("qa.arming_is_refused", { refusal: status.refusal });
+  if (!status.is_arming_allowed) return tr("qa.arming_is_refused", { refusal: said(status.refusal) });
   if (status.required_daily_h > 0) return tr("qa.arming_requires_a_passed_qa_within_the_last", { required_daily_h: status.required_daily_h });
   return "";
 }
 
 function row(kind, run) {
   const item = document.createElement("li");
-  item.append(part("strong", kind[0].toUpperCase() + kind.slice(1)));
+  item.append(part("strong", tr(`qa.${kind}`)));
   if (run === null) {
-    item.append(part("em", "never"));
+    item.append(part("em", tr("qa.never")));
     return item;
   }
-  const verdict = part("em", run.verdict ?? run.status);
+  const verdict = part("em", tr(`qa.verdict.${run.verdict ?? run.status}`));
   verdict.dataset.verdict = run.verdict ?? run.status;
   item.append(verdict, part("time", `${run.created_at.slice(0, 16).replace("T", " ")} UTC`));
   if (run.status === "finished") {
@@ -78,10 +78,4 @@ function row(kind, run) {
     item.append(link);
   }
   return item;
-}
-
-function part(name, text) {
-  const element = document.createElement(name);
-  element.textContent = text;
-  return element;
 }

@@ -4,7 +4,7 @@
  */
 
 import { prepareSession, createSession, listModels, readSession, withoutNulls } from "../api.js";
-import { byId, part, setText } from "../drawing/elements.js";
+import { byId, part, said, setText } from "../drawing/elements.js";
 import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
@@ -140,8 +140,8 @@ function taken(session, names, model) {
 }
 
 function whenText(session) {
-  const fraction = tr("report.fraction", { plan_id: session.plan_id, fraction_id: session.fraction_id, value: session.fraction_number === null ? "" : ` (no. ${session.fraction_number})` });
-  return tr("report.started", { fraction, started_at: localTime(session.started_at), status: tr(`status.${session.status}`), ended_at: localTime(session.ended_at), status_detail: session.status_detail });
+  const fraction = tr("report.fraction", { plan_id: session.plan_id, fraction_id: session.fraction_id, value: session.fraction_number === null ? "" : tr("report.no", { number: session.fraction_number }) });
+  return tr("report.started", { fraction, started_at: localTime(session.started_at), status: tr(`status.${session.status}`), ended_at: localTime(session.ended_at), status_detail: said(session.status_detail) });
 }
 
 

@@ -24,6 +24,7 @@ export class SessionForm {
     this.conditions = new Conditions(byId("conditions"), byId("condition-template"), byId("add-condition"), () => this.#showWindow());
     this.reset();
     form.addEventListener("change", () => this.#showFields());
+    form.addEventListener("input", ({ target }) => target.setAttribute("aria-invalid", "false"));
     this.#input("plan").addEventListener("change", () => this.#choosePlan());
   }
 
@@ -39,7 +40,7 @@ export class SessionForm {
     this.more.open = false;
     this.#askReason("");
     this.#choosePlan();
-    this.mark("");
+    this.mark();
   }
 
   /** Offer the imported plans, the newest first. */
@@ -119,22 +120,27 @@ export class SessionForm {
     return request;
   }
 
-  /** Mark the refused field, and ask for the reason that the refusal wants. */
+  /** Mark the refused fields, ask for the reason that the refusal wants, and return what to say: every field by its name. */
   refuse(error) {
     this.#askReason(REASON_FOR[error.code] ?? this.#reason().name, error.code in REASON_FOR);
-    this.mark(error.field ?? "");
+    const fields = error.errors.length > 0 ? error.errors : error.field ? [{ field: error.field }] : [];
+    this.mark(...fields.map((one) => one.field));
+    const named = error.errors.map((one) => ({ input: this.#refused(one.field), bound: one.bound }));
+    if (named.length === 0 || named.some(({ input }) => input === undefined)) return error.message;
+    return named.map(({ input, bound }) => `${nameOf(input)}: ${wantedOf(input, bound)}.`).join(" ");
   }
 
-  /** Mark the field of this name as wrong; none for "". */
-  mark(field) {
+  /** Mark the fields of these names as wrong, and only these; the first one takes the focus. */
+  mark(...fields) {
+    const wrong = fields.map((field) => this.#refused(field)).filter(Boolean);
+    for (const input of this.form.elements) input.setAttribute("aria-invalid", String(wrong.includes(input)));
+    if (wrong.some((input) => this.more.contains(input))) this.more.open = true;
+    wrong[0]?.focus();
+  }
+
+  #refused(field) {
     const name = field.replace(/^body\./, "").replace(/^source\..*/, "source");
-    for (const input of this.form.elements) {
-      const isWrong = name !== "" && input.name === name;
-      input.setAttribute("aria-invalid", String(isWrong));
-      if (!isWrong) continue;
-      if (this.more.contains(input)) this.more.open = true;
-      input.focus();
-    }
+    return name === "" ? undefined : [...this.form.elements].find((input) => input.name === name && !input.closest("[hidden]"));
   }
 
   #choosePlan() {
@@ -248,6 +254,19 @@ function read(input) {
   if (input.type !== "number") return text;
   const number = Number(text);
   return text !== "" && Number.isFinite(number) ? number : text;
+}
+
+function nameOf(input) {
+  return input.closest("label")?.querySelector("span")?.textContent ?? input.name;
+}
+
+/** What a field has to be: as the form knows it, else as the controller says. */
+function wantedOf(input, bound) {
+  if (input.value.trim() === "") return tr("session_form.is_empty");
+  const value = Number(input.value);
+  const [least, most] = [input.min, input.max].map((one) => (one === "" || one === undefined ? NaN : Number(one)));
+  if (value < least || value > most) return tr("session_form.is_between", { least, most });
+  return tr("session_form.must_be", { bound });
 }
 
 function byId(id) {

@@ -1,7 +1,7 @@
 /** The start: the work list, and the form of a new session. It never covers the gate, nor the trace of a session. */
 
 import { createSession, listCalibrations, listDevices, listRecordings, prepareSession, uploadCalibration } from "../api.js";
-import { byId } from "../drawing/elements.js";
+import { byId, say } from "../drawing/elements.js";
 import { may, obstacle } from "../people/permissions.js";
 import { isOver } from "./report.js";
 import { SessionForm } from "./session_form.js";
@@ -32,6 +32,8 @@ export class Setup {
       onPlans: (plans) => this.fields.offerPlans(plans),
     });
     byId("work-typed").addEventListener("click", () => this.#setUp(null));
+    // A complaint is over when its field is changed.
+    this.form.addEventListener("input", () => this.outcome.dataset.kind === "failed" && this.#say("", ""));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.#create();
@@ -135,27 +137,25 @@ export class Setup {
   }
 
   async #create() {
-    this.fields.mark("");
+    this.fields.mark();
     const submit = this.form.querySelector("[type=submit]");
     submit.disabled = true;
     const { plan } = this.fields;
     try {
       const request = this.fields.request(this.access.person.name);
-      if (request.source.kind === undefined) throw Object.assign(new Error(tr("setup.choose_a_camera_or_a_recording")), { field: "source" });
+      if (request.source.kind === undefined) throw Object.assign(new Error(tr("setup.choose_a_camera_or_a_recording")), { field: "source", errors: [] });
       const session = plan === null ? await createSession(request) : await prepareSession(plan.id, request);
       this.#empty();
       this.onSelect(session);
       this.show(false);
     } catch (error) {
-      this.#say("failed", error.message);
-      this.fields.refuse(error);
+      this.#say("failed", this.fields.refuse(error));
     } finally {
       submit.disabled = false;
     }
   }
 
   #say(kind, text) {
-    this.outcome.dataset.kind = kind;
-    this.outcome.textContent = text;
+    say(this.outcome, kind, text);
   }
 }

@@ -4,7 +4,7 @@
  */
 
 import { readModel, readSpectrum } from "../api.js";
-import { byId, part } from "../drawing/elements.js";
+import { byId, part, said } from "../drawing/elements.js";
 import { describe as describeWindow } from "../stream/gating_window.js";
 import { roomMoveOf } from "../stream/gate_state.js";
 import { needsReference } from "./training.js";
@@ -100,7 +100,7 @@ export function stepsOf({ sample, session, windowLookedAt, model }) {
     step("reference", sample?.state === "measuring" && session?.has_reference === true && !needsReference(sample, session) && roomMoveOf(sample) === null, referenceText(sample, session), "do-reference"),
   ];
   const check = sample?.position_check;
-  if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", check.text, "do-sign"));
+  if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", said(check.text), "do-sign"));
   steps.push(step("window", windowLookedAt, sample === null ? tr("steps.set_on_the_patient_s_own_trace") : tr("steps.gated_on_press_set_window_change_it_or_keep", { window: describeWindow(sample.window) }), "do-window"));
   steps.push(step("summary", false, tr("steps.press_arm_read_each_line_then_arm_now"), "do-arm"));
   const now = steps.find((one) => one.state === "later");
@@ -120,7 +120,7 @@ function cameraStep(sample, session) {
   const figures = [
     view.distance_mm === null ? tr("steps.no_depth") : `${Math.round(view.distance_mm / 10)} cm`,
     view.tilt_deg === null ? null : tr("steps.tilt", { value: fixed(view.tilt_deg, 0) }),
-    tr("steps.with_depth", { value: Math.round(100 * view.coverage) }),
+    tr("steps.with_depth", { value: Math.floor(100 * view.coverage) }),
     tr("steps.light", { value: Math.round(100 * view.brightness) }),
     view.running_s >= 60 ? tr("steps.on_for_min", { value: Math.floor(view.running_s / 60) }) : null,
   ].filter((one) => one !== null);
@@ -130,7 +130,7 @@ function cameraStep(sample, session) {
 
 function markersText(sample) {
   if (sample === null) return tr("steps.four_dots_on_the_chest_inside_the_picture");
-  return sample.state === "lost" ? `${capitalized(sample.lost?.detail ?? tr("steps.not_found"))}.` : tr("steps.all_four_are_found_look_at_the_frame_on_the");
+  return sample.state === "lost" ? `${sample.lost?.detail ? said(capitalized(sample.lost.detail)) : capitalized(tr("steps.not_found"))}.` : tr("steps.all_four_are_found_look_at_the_frame_on_the");
 }
 
 function trainingText(sample, model) {
@@ -146,7 +146,7 @@ function referenceText(sample, session) {
   if (sample?.state !== "measuring") return tr("steps.the_end_of_exhale_of_the_last_breaths_confir");
   const move = roomMoveOf(sample);
   if (move !== null) return tr(`moved.${move.what}.what`, move);
-  if (session?.has_reference === true && !needsReference(sample, session)) return capitalized(sample.reference?.text ?? "set");
+  if (session?.has_reference === true && !needsReference(sample, session)) return sample.reference?.text ? said(capitalized(sample.reference.text)) : tr("steps.is_set");
   return tr("steps.read_the_proposed_level_above_the_buttons_th");
 }
 

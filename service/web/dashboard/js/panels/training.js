@@ -1,6 +1,6 @@
 /** The training panel: progress, model and reference, and the reasons that disable buttons. */
 
-import { setText } from "../drawing/elements.js";
+import { said, setText } from "../drawing/elements.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
@@ -60,7 +60,7 @@ function learning(sample, session, isFresh) {
   const stage = stageOf(sample);
   const besides = stageText(stage, sample.training);
   if (sample.state === "lost") {
-    return { phase: "lost", stage, title: tr("training.patient_not_visible"), share: null, detail: [sample.lost?.detail, besides].filter(Boolean).join(" · ") };
+    return { phase: "lost", stage, title: tr("training.patient_not_visible"), share: null, detail: [said(sample.lost?.detail), besides].filter(Boolean).join(" · ") };
   }
   const hasBar = ["gathering", "comparing", "fitting"].includes(stage);
   const detail = besides || inUse(sample, session);
@@ -75,14 +75,14 @@ function inUse(sample, session) {
 function stageText(stage, progress) {
   if (stage === "none") return "";
   if (stage === "waiting") return tr("training.the_new_model_is_applied_when_the_gate_is_di");
-  if (stage === "refused") return tr("training.refused", { note: progress.note });
-  return stage === "fitting" ? progress.note : progressText(progress);
+  if (stage === "refused") return tr("training.refused", { note: said(progress.note) });
+  return stage === "fitting" ? said(progress.note) : progressText(progress);
 }
 
 function progressText(progress) {
   if (!progress) return "";
   const parts = [tr("count.frames", { n: progress.frames }), cycles(progress.cycles), `${fixed(progress.seconds, 0)} s`];
-  return [...parts, progress.note].filter(Boolean).join(" · ");
+  return [...parts, said(progress.note)].filter(Boolean).join(" · ");
 }
 
 function cycles(count) {

@@ -23,7 +23,7 @@ export function renderTreatment(sample, session, serverMs) {
   setText(byId("treatment-duty"), summary === null ? NONE : dutyText(summary));
   setText(byId("treatment-elapsed"), duration(summary?.elapsed_s));
   const since = summary === null ? null : sinceOf(sample, session.gate);
-  setText(byId("treatment-state-name"), since === null ? tr("treatment.in_this_state") : `${STATES[sample.gate] ?? sample.gate} for`);
+  setText(byId("treatment-state-name"), since === null ? tr("treatment.in_this_state") : tr("treatment.for", { state: STATES[sample.gate] ?? sample.gate }));
   setText(byId("treatment-state"), since === null ? NONE : duration(Math.max(0, (serverMs - since) / 1000)));
   const holds = summary?.holds ?? [];
   setText(byId("treatment-holds"), summary === null ? NONE : countText(holds));

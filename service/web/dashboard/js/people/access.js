@@ -13,7 +13,8 @@ const RETRY_MS = 2000;
 const REFUSED_MS = 3000;
 
 const ENDED = tr("access.your_log_in_has_ended_the_gate_s_state_is_un");
-const LEFT = tr("access.you_have_logged_out_the_gate_that_you_armed");
+const LEFT = tr("access.you_have_logged_out");
+const LEFT_ARMED = tr("access.you_have_logged_out_the_gate_that_you_armed");
 
 export class Access {
   /** @param {() => void} onChange called when the state or the person changes */
@@ -69,15 +70,19 @@ export class Access {
     this.#become("out", reason);
   }
 
-  /** Log out; throws without a change if the controller does not answer. */
-  async leave() {
+  /**
+   * Log out; throws without a change if the controller does not answer.
+   *
+   * @param {boolean} hasArmed whether this person armed the gate, which is then held
+   */
+  async leave(hasArmed) {
     try {
       await logOut();
     } catch (error) {
       if (error.status !== 401) throw error;
     }
     this.person = null;
-    this.#become("out", LEFT);
+    this.#become("out", hasArmed ? LEFT_ARMED : LEFT);
   }
 
   #refused(status) {

@@ -1,9 +1,9 @@
 /** API keys, with which planning and record-and-verify software authenticates. */
 
 import { createKey, listKeys, revokeKey } from "../api.js";
-import { confirmButton, byId, part, say, tick, ticked } from "../drawing/elements.js";
+import { byId, confirmButton, part, say, setText, tick, ticked } from "../drawing/elements.js";
 import { KEY_SCOPES } from "./permissions.js";
-import { tr } from "../words/words.js";
+import { has, tr } from "../words/words.js";
 
 const DAY_MS = 86_400_000;
 
@@ -14,7 +14,7 @@ export class KeyList {
     this.list = byId("key-list");
     this.outcome = byId("key-outcome");
     this.form = byId("new-key");
-    byId("new-key-scopes").append(...KEY_SCOPES.map((scope) => tick(scope, scope)));
+    byId("new-key-scopes").append(...KEY_SCOPES.map((scope) => tick(scopeText(scope), scope)));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.#create();
@@ -29,7 +29,7 @@ export class KeyList {
       empty.textContent = items.length > 0 ? "" : tr("keys.no_key_yet_create_one_key_per_program");
     } catch (error) {
       this.list.replaceChildren();
-      empty.textContent = tr("keys.the_keys_cannot_be_read", { message: error.message });
+      setText(empty, tr("keys.the_keys_cannot_be_read", { message: error.message }));
     }
     empty.hidden = empty.textContent === "";
   }
@@ -45,7 +45,7 @@ export class KeyList {
     const state = stateOf(one);
     item.dataset.disabled = state === "" ? "no" : "yes";
     const used = one.last_used_at ? tr("keys.last_used", { last_used_at: day(one.last_used_at) }) : tr("keys.never_used");
-    item.append(part("strong", one.name), part("span", [state || `until ${day(one.expires_at)}`, used].join(" · "), "small"), part("span", one.scopes.join(", "), "small scopes"));
+    item.append(part("strong", one.name), part("span", [state || tr("keys.until", { day: day(one.expires_at) }), used].join(" · "), "small"), part("span", one.scopes.map(scopeText).join(", "), "small scopes"));
     const row = part("span", "", "row-buttons");
     if (state === "") row.append(confirmButton(tr("keys.revoke"), tr("keys.confirm_revoke"), () => this.#revoke(one)));
     item.append(row);
@@ -89,9 +89,14 @@ export class KeyList {
   }
 }
 
+/** What a permission is, in words; its code where there are none. */
+function scopeText(scope) {
+  return has(`scope.${scope}`) ? tr(`scope.${scope}`) : scope;
+}
+
 function stateOf(one) {
-  if (one.revoked_at) return `revoked ${day(one.revoked_at)}`;
-  return Date.parse(one.expires_at) <= Date.now() ? `expired ${day(one.expires_at)}` : "";
+  if (one.revoked_at) return tr("keys.revoked", { day: day(one.revoked_at) });
+  return Date.parse(one.expires_at) <= Date.now() ? tr("keys.expired", { day: day(one.expires_at) }) : "";
 }
 
 function day(at) {

@@ -1,9 +1,9 @@
 /** The people panel: accounts, roles and API keys, for administrators. */
 
 import { addPerson, changePerson, listPeople } from "../api.js";
-import { confirmButton, byId, part, pushButton, say, tick, ticked } from "../drawing/elements.js";
+import { byId, confirmButton, part, pushButton, say, setText, tick, ticked } from "../drawing/elements.js";
 import { KeyList } from "./keys.js";
-import { ROLES } from "./permissions.js";
+import { ROLES, rolesText } from "./permissions.js";
 import { ShownOnce } from "./shown_once.js";
 import { tr } from "../words/words.js";
 
@@ -17,7 +17,7 @@ export class PeoplePanel {
     this.once = new ShownOnce(byId("shown-once"));
     this.keys = new KeyList(this.once);
     this.form = byId("new-person");
-    byId("new-person-roles").append(...ROLES.map((role) => tick(role, role)));
+    byId("new-person-roles").append(...ROLES.map((role) => tick(rolesText([role]), role)));
     this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
     byId("people-close").addEventListener("click", () => this.show(false));
     this.form.addEventListener("submit", (event) => {
@@ -63,7 +63,7 @@ export class PeoplePanel {
       empty.textContent = "";
     } catch (error) {
       byId("people-list").replaceChildren();
-      empty.textContent = tr("people.the_people_cannot_be_read", { message: error.message });
+      setText(empty, tr("people.the_people_cannot_be_read", { message: error.message }));
     }
     empty.hidden = empty.textContent === "";
   }
@@ -72,7 +72,7 @@ export class PeoplePanel {
     const item = document.createElement("li");
     item.dataset.disabled = one.is_disabled ? "yes" : "no";
     const roles = part("fieldset", "");
-    roles.append(part("legend", tr("people.roles_of", { name: one.name }), "unseen"), ...ROLES.map((role) => tick(role, role, one.roles.includes(role))));
+    roles.append(part("legend", tr("people.roles_of", { name: one.name }), "unseen"), ...ROLES.map((role) => tick(rolesText([role]), role, one.roles.includes(role))));
     roles.addEventListener("change", () => this.#change(one.name, { roles: ticked(roles) }, tr("people.roles_of_changed", { name: one.name })));
     item.append(part("strong", one.name), part("span", this.#about(one), "small"), roles, this.#buttons(one));
     return item;
@@ -80,7 +80,7 @@ export class PeoplePanel {
 
   #about(one) {
     const isMe = one.name === this.access.person?.name ? tr("people.this_is_you") : "";
-    const state = one.is_disabled ? "disabled" : one.must_change_password ? tr("people.must_change_the_password") : "";
+    const state = one.is_disabled ? tr("people.disabled") : one.must_change_password ? tr("people.must_change_the_password") : "";
     return [isMe, state].filter(Boolean).join(" · ");
   }
 

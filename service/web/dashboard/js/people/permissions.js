@@ -24,6 +24,9 @@ export const NEEDS = {
   coach: "coach.manage",
 };
 
+/** The names of roles, in words. */
+export const rolesText = (roles) => roles.map((role) => tr(`role.${role}`)).join(", ");
+
 export const ROLES = ["viewer", "therapist", "physicist", "admin"];
 
 /** Permissions that an API key may have; never the reference, acknowledging faults, starting QA, people or patient screens. */
@@ -40,5 +43,5 @@ export function may(person, action) {
 /** @returns {string} why the person may not do this, or an empty string */
 export function obstacle(person, action) {
   if (person === null) return tr("permissions.log_in");
-  return may(person, action) ? "" : tr("permissions.your_log_in_does_not_allow_it", { value: person.roles.join(", ") || tr("permissions.no_role") });
+  return may(person, action) ? "" : tr("permissions.your_log_in_does_not_allow_it", { value: rolesText(person.roles) || tr("permissions.no_role") });
 }

@@ -4,6 +4,8 @@
  * An unknown, stale or contradictory state is never shown as a beam state.
  */
 
+import { rolesText } from "../people/permissions.js";
+import { said } from "../drawing/elements.js";
 import { FAULT_MS, IDLE_STALE_MS, STALE_MS } from "./live_stream.js";
 import { adviceFor, whatIs } from "../words/reasons.js";
 import { fixed } from "../drawing/numbers.js";
@@ -57,7 +59,7 @@ export function presentLocked(access) {
   if (access.state === "asking") return stopped("connecting", tr("gate_state.connecting"), access.reason || tr("gate_state.waiting_for_the_controller"), null);
   if (access.state === "change") return stopped("out", tr("gate_state.locked"), tr("gate_state.change_your_password_first"), null);
   if (access.state === "out") return stopped("out", tr("gate_state.logged_out"), access.reason || tr("gate_state.log_in_to_see_it", { UNKNOWN }), null);
-  return stopped("out", tr("gate_state.not_shown"), tr("gate_state.your_roles_do_not_permit_watching_sessions", { value: access.person.roles.join(", ") || tr("roles.none") }), null);
+  return stopped("out", tr("gate_state.not_shown"), tr("gate_state.your_roles_do_not_permit_watching_sessions", { value: rolesText(access.person.roles) || tr("roles.none") }), null);
 }
 
 function gate(message, ageMs) {
@@ -97,7 +99,7 @@ function adviceOf(message) {
 function detailOf(message) {
   const unnamed = message.hold_reason === "operator_hold" ? message.operator_holds.slice(1) : message.operator_holds;
   const holder = unnamed.length > 0 ? tr("gate_state.also_held_by", { operator_hold: unnamed.join(", ") }) : "";
-  return [message.hold_detail ?? "", holder].filter(Boolean).join(" · ");
+  return [said(message.hold_detail), holder].filter(Boolean).join(" · ");
 }
 
 /** Detects a beam line that reads on without a permit. */

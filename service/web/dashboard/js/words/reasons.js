@@ -1,11 +1,12 @@
 /** What a hold, a fault or an alarm is, what to do and whom to call: three sentences for each code of the controller. */
 
+import { said } from "../drawing/elements.js";
 import { has, LANGUAGE, tr } from "./words.js";
 
 /** What the reason is; the controller's own sentence where this page does not know the code, and never nothing. */
 export function whatIs(code, sentence) {
   if (has(`hold.${code}.what`)) return tr(`hold.${code}.what`);
-  return sentence || tr("reason.unknown", { code: String(code ?? "?").slice(0, 40) });
+  return said(sentence) || tr("reason.unknown", { code: String(code ?? "?").slice(0, 40) });
 }
 
 /** What to do, and whom to call; of an unknown code what is right for the worst one. */
