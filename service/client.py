@@ -1439,6 +1439,88 @@ class SessionPage(TypedDict):
     next_cursor: str | None
 
 
+class ReportEvent(TypedDict):
+    """What a person or the service did in the session, from the audit."""
+
+    action: str
+    actor: str
+    at: str
+    text: str
+
+
+class Range(TypedDict):
+    """Median of a figure, and the range of its middle 90 %."""
+
+    high: float
+    low: float
+    median: float
+
+
+class HeldTime(TypedDict):
+    """A reason for which the armed gate held, with the time that it took."""
+
+    count: int
+    reason: str
+    seconds: float
+    text: str
+
+
+class GatedMotion(TypedDict):
+    """Motion while the beam was on, of one signal, around its own mean."""
+
+    deviation_mm: float
+    frames: int
+    mean_mm: float
+    signal: Literal["whole", "thorax", "abdomen"]
+    within_95_mm: float
+
+
+class ReportFigures(TypedDict):
+    """What is counted from the session's samples alone; times are from each sample to the next, at most a second."""
+
+    amplitude: Range | None
+    armed_s: float
+    baseline_first: float | None
+    baseline_last: float | None
+    beam_on_s: float
+    duty_percent: float | None
+    frames: int
+    holds: list[HeldTime]
+    latency: LatencyView
+    lost: int
+    missed_frames: int
+    motion: list[GatedMotion]
+    period_s: Range | None
+    pulse_s: Range | None
+    pulses: int
+    recorded_s: float
+
+
+class SignedDegree(TypedDict):
+    """One of the six degrees of the position against the plan's, as it was signed."""
+
+    name: str
+    tolerance: float
+    unit: str
+    value: float | None
+
+
+class SessionReport(TypedDict):
+    """A session as its report states it."""
+
+    calibration_sha256: str
+    deviations: list[str]
+    events: list[ReportEvent]
+    figures: ReportFigures
+    model: str
+    position: list[SignedDegree]
+    samples_sha256: str
+    session: Session
+    session_id: str
+    settings_sha256: str
+    software: str
+
+
 class SessionRequest(TypedDict):
     """A new session: patient, plan, camera or recording, and gating window."""
 
@@ -2013,6 +2095,14 @@ class TidegateClient:
     ) -> Exported:
         """Write the sample of every frame to a file, complete or not at all."""
         return self._download(f"{_session(session_id)}/samples", {"format": form}, Path(to))
+
+    def read_report(self, session_id: str) -> "SessionReport":
+        """Return the report of a session that is over: its figures, its events, its hashes."""
+        return self._read(f"{_session(session_id)}/report", SessionReport)
+
+    def export_report(self, session_id: str, to: str | Path) -> Exported:
+        """Write the PDF report of a session that is over to a file."""
+        return self._download(f"{_session(session_id)}/report.pdf", {}, Path(to))
 
     def audit(
         self,

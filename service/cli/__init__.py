@@ -39,6 +39,7 @@ COMMANDS = {
     "audit": Command("audit", "Verify or export the audit log; the service may be running."),
     "backup": Command("backup", "Back up database, models, samples and tapes to one file; the service may be running."),
     "restore": Command("backup", "Restore a backup into an empty database and data folder, SQLite or PostgreSQL."),
+    "report": Command("report", "Write the report of a session that is over, as PDF or HTML."),
     "replay": Command(
         "replay", "Replay a stored session and compare every gate decision and sample with the original."
     ),

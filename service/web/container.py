@@ -33,6 +33,7 @@ from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
+from service.sessions.report.reports import ReportService
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import SYSTEM, Event
 from service.storage.audit.anchors import AnchorFile
@@ -279,6 +280,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         runner=work.runner,
         arming=work.arming,
         samples=SampleService(database, storage.samples),
+        reports=ReportService(database, storage.samples),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),
         models=ModelRepository(database, dependencies.equipment, ModelStore(settings.data_dir / MODELS_FOLDER)),

@@ -30,6 +30,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
+from service.sessions.report.reports import ReportService
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import chain
 from service.storage.audit.service import AuditService
@@ -52,6 +53,7 @@ class Services:
     runner: SessionRunner
     arming: ArmingSummaries
     samples: SampleService
+    reports: ReportService
     calibrations: CalibrationRepository
     recordings: RecordingList
     models: ModelRepository

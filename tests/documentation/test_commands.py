@@ -1,6 +1,6 @@
 """Every command in the documents exists, with the options that it is given there.
 
-Commands that need a machine as the guide describes it are not run here; that they are accepted is what went wrong before.
+They are not run: most need a machine as the guide describes it. What went wrong before is that none was accepted.
 """
 
 import importlib.util

@@ -97,7 +97,7 @@ class SampleService:
         with self._database.read() as db:
             row = queries.session_row(db, session_id)
             named = [region.name for region in sessions.Regions.model_validate_json(row.regions).named]
-            self._refuse_removed(session_id, row.summary)
+            self.refuse_removed(session_id, row.summary)
         pieces = self._csv(session_id, named) if form == "csv" else self._binary(session_id, form, tuple(named))
         return SampleExport(pieces=pieces, media_type=MEDIA[form], file_name=f"{session_id}{SUFFIX[form]}")
 
@@ -119,7 +119,8 @@ class SampleService:
             raise SessionStateError(msg, field="format", value=form, bound="csv or arrow") from error
         return _read(file)
 
-    def _refuse_removed(self, session_id: str, summary: str | None) -> None:
+    def refuse_removed(self, session_id: str, summary: str | None) -> None:
+        """Raise SamplesRemovedError where a session had samples and they are gone."""
         if summary is None or self._store.has(session_id):
             return
         if sessions.Summary.model_validate_json(summary).frames:

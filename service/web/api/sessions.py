@@ -53,6 +53,8 @@ from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.base import Name
 from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
+from service.core.schemas.reports import SessionReport
+from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
 from service.web.api import problems
@@ -357,6 +359,54 @@ def export_samples(
     services.audit.exported(actor=caller.name, action="samples.export", session_id=session_id, detail={"format": form})
     headers = {"Content-Disposition": f'attachment; filename="{export.file_name}"'}
     return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
+
+
+REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
+
+
+@router.get("/{session_id}/report", responses=REPORT)
+def read_report(session_id: dependencies.SessionId, services: dependencies.AppServices) -> SessionReport:
+    """Return the report of a session that is over: figures of its samples, events of the audit, versions."""
+    return services.reports.of(session_id).report
+
+
+@router.get(
+    "/{session_id}/report.pdf",
+    response_class=Response,
+    responses={200: {"description": "The report", "content": {"application/pdf": BINARY}}, **REPORT},
+)
+def export_report_pdf(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, caller: dependencies.Caller
+) -> Response:
+    """Return the report as a PDF to be signed; the same bytes for the same session."""
+    body = report_pdf(services.reports.of(session_id))
+    return _exported(session_id, services, caller, body, "pdf", "application/pdf")
+
+
+@router.get(
+    "/{session_id}/report.html",
+    response_class=Response,
+    responses={200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}, **REPORT},
+)
+def export_report_html(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, caller: dependencies.Caller
+) -> Response:
+    """Return the report as a page that needs nothing else."""
+    body = report_html(services.reports.of(session_id)).encode()
+    return _exported(session_id, services, caller, body, "html", "text/html; charset=utf-8")
+
+
+def _exported(
+    session_id: str,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+    body: bytes,
+    form: str,
+    media_type: str,
+) -> Response:
+    services.audit.exported(actor=caller.name, action="report.export", session_id=session_id, detail={"format": form})
+    headers = {"Content-Disposition": f'attachment; filename="{session_id}.{form}"'}
+    return Response(body, media_type=media_type, headers=headers)
 
 
 @router.get(

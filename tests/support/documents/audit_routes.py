@@ -19,6 +19,8 @@ EXPORTS = {
     "/api/v1/audit/export": "audit.export",
     "/api/v1/sessions/{session_id}/samples": "samples.export",
     "/api/v1/qa/runs/{run_id}/report.pdf": "qa.export",
+    "/api/v1/sessions/{session_id}/report.pdf": "report.export",
+    "/api/v1/sessions/{session_id}/report.html": "report.export",
 }
 """What leaves the house by GET."""
 

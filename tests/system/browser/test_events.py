@@ -53,6 +53,6 @@ def test_a_chosen_event_stands_on_the_trace_and_the_keys_go_through_the_list(fak
     expect(frame).to_have_attribute("data-live", "yes")  # an hour ago: no longer kept
     page.focus("#events")
     page.keyboard.press("ArrowDown")
-    expect(rows.nth(0).get_by_role("button")).to_be_focused()
+    expect(rows.nth(0).get_by_role("link")).to_be_focused()
     page.keyboard.press("Enter")
     expect(frame).to_have_attribute("data-live", "no")

@@ -179,7 +179,7 @@ def test_what_is_proposed_is_shown_before_it_is_confirmed(fake: FakeService, tab
     expect(page.locator("#reference-proposal")).to_contain_text("Two breaths have to be seen")
     fake.sessions = [detail(has_reference=False)]
     expect(page.locator("#reference-proposal")).to_have_text(
-        "Mean of 4 breaths: -1.25 mm, scatter 0.21 mm, at 2 % of the learned breath."
+        "Mean of 4 breaths: \N{MINUS SIGN}1.25 mm, scatter 0.21 mm, at 2 % of the learned breath."
     )
     page.select_option("#reference-at", "end_inhale")
     expect(page.locator("#do-reference")).to_be_disabled()

@@ -216,7 +216,7 @@ def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService
     page.click("#do-log-out")
     stepped.advance_until(lambda: stepped.kind == "out")
     stepped.advance(400)
-    expect(page.locator("#access-reason")).to_contain_text("The gate that you armed is held until a person releases it")
+    expect(page.locator("#access-reason")).to_have_text("You have logged out.")
     shows_nothing_of_a_session(page)
     expect(page.locator("#person")).to_be_hidden()
     pictures = fake.pictures
@@ -224,6 +224,14 @@ def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService
     shows_nothing_of_a_session(page)
     assert fake.pictures == pictures
     assert "P-0117" not in page.inner_text("body")
+
+
+def test_who_armed_the_gate_is_told_that_it_is_held_after_a_log_out(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(armed_by="A. Therapist")
+    page = tab.open("hold")
+    page.click("#do-log-out")
+    page.click("#do-log-out")  # the first click asks
+    expect(page.locator("#access-reason")).to_contain_text("The gate that you armed is held until a person releases it")
 
 
 def test_a_page_that_was_logged_out_tries_no_stream_any_more(stepped: SteppedPage):

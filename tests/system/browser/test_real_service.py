@@ -23,7 +23,10 @@ from playwright.sync_api import Browser, BrowserContext, Page, Playwright, Timeo
 
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.browser.chromium import launch_chromium, trust
+from tests.support.browser.newcomer import Keyboard, Newcomer
 from tests.support.browser.tab import Tab
+from tests.support.planning.api_calls import DICOM
+from tests.support.planning.dicom_plans import motion, photon_plan, setup, written
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.waiting import PATIENCE_S, eventually
 
@@ -46,6 +49,7 @@ PATIENCE = {
 }
 WANTED = {("hold", "Hold", "hold"), ("dwell", "Dwell", "dwell"), ("beam_on", "Beam on", "beam_on")}
 ATTEMPTS = 3
+MOST_TABS = 10
 START_S = 140.0
 
 # Notes each state of the gate as it is drawn, and whether one can arm in each phase of the learning: a dwell may be
@@ -105,6 +109,12 @@ class Controller:
         )
         with urllib.request.urlopen(request, timeout=PATIENCE_S, context=self._trusted) as response:
             return json.load(response)
+
+    def import_plan(self, plan: bytes) -> None:
+        request = urllib.request.Request(
+            f"{self.url}/api/v1/plans", method="POST", data=plan, headers={**DICOM, **self._key}
+        )
+        urllib.request.urlopen(request, timeout=PATIENCE_S, context=self._trusted).close()
 
     def wait_until_up(self) -> None:
         eventually(self._answers, within_s=START_S, pause_s=0.05, detail=lambda: "tidegate serve does not answer")
@@ -288,6 +298,33 @@ def test_a_session_of_a_killed_service_is_announced_and_continued_with_what_was_
     expect(page.locator("#report-heading")).to_have_text("Summary: P-0001")
     page.close()
     assert tab.complaints == []
+
+
+def test_a_fraction_of_a_plan_is_set_up_and_gated_by_keyboard_alone(
+    controller: Controller, calm_volunteer: Path, context: BrowserContext
+):
+    document = json.loads((calm_volunteer / "calibration.json").read_text())
+    controller.call("POST", "/calibrations?operator=B.+Physicist", document)
+    controller.import_plan(written(photon_plan(PatientSetupSequence=[setup(1, motion("GATING"))])))
+    for _ in range(ATTEMPTS):  # where other work takes the processors, training may outlast the recording
+        page, hands = context.new_page(), Keyboard()
+        page.goto(controller.url)
+        person = Newcomer(page, OPERATOR, PASSWORD, hands)
+        is_gated = False
+        while not is_gated and not page.is_visible("#report"):
+            is_gated = person.gates()
+        if is_gated:
+            break
+        page.context.clear_cookies()
+        page.close()
+    assert is_gated
+    assert [one for one in hands.tabs if one[1] > MOST_TABS] == []
+    assert person.wrong_turns == []
+    page.keyboard.press("F8")
+    expect(page.locator("#gate-reason")).to_contain_text("Held by")
+    page.keyboard.press("Escape")
+    expect(page.locator("#gate")).to_have_attribute("data-kind", "disarmed")
+    page.close()
 
 
 def choose_password(page: Page, password: str) -> None:

@@ -113,7 +113,9 @@ def log_in(client: TestClient):
 
 
 def refusals(client: TestClient):
-    return [event.detail for event in client.app.state.access.refused_logins.take_events()]
+    """The refused log-ins: those that the service has written by now, and those that wait for it."""
+    written = [row.detail for row in audit(client, "user.login") if row.outcome == "refused"]
+    return written + [event.detail for event in client.app.state.access.refused_logins.take_events()]
 
 
 def audit(client: TestClient, action: str):

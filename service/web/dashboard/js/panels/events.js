@@ -18,7 +18,10 @@ export class EventList {
   /** @param {(atMs: number) => void} onChoose called with the time of the event that a person chose */
   constructor(list, empty, onChoose) {
     Object.assign(this, { list, empty, onChoose });
-    list.addEventListener("click", ({ target }) => this.#choose(target.closest("li")));
+    list.addEventListener("click", (event) => {
+      event.preventDefault();
+      this.#choose(event.target.closest("li"));
+    });
     list.addEventListener("keydown", (event) => this.#step(event));
     this.sessionId = null;
     this.nextMs = 0;
@@ -80,9 +83,9 @@ export class EventList {
     const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
     if (way === undefined) return;
     event.preventDefault();
-    const buttons = [...this.list.querySelectorAll("button")];
-    const at = buttons.indexOf(document.activeElement);
-    buttons[Math.max(0, Math.min(buttons.length - 1, at + way))]?.focus();
+    const links = [...this.list.querySelectorAll("a")];
+    const at = links.indexOf(document.activeElement);
+    links[Math.max(0, Math.min(links.length - 1, at + way))]?.focus();
   }
 
   #sayEmpty(text) {
@@ -112,8 +115,8 @@ function row({ entry, seconds, end }) {
   item.dataset.outcome = entry.outcome;
   item.dataset.state = stateAfter(entry) ?? "";
   item.dataset.at = entry.at;
-  const time = part("button", clock(entry.at));
-  Object.assign(time, { type: "button", tabIndex: -1, title: tr("event.look") });
+  const time = part("a", clock(entry.at));
+  Object.assign(time, { href: "#trace-frame", tabIndex: -1, title: tr("event.look") });
   const what = seconds === null ? sentence(entry) : tr("event.pulse", { seconds: fixed(seconds, 1) });
   item.append(time, part("strong", what), part("span", [reason(end ?? entry), by(entry)].filter(Boolean).join(" · ")));
   return item;

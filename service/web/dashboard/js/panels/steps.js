@@ -159,11 +159,12 @@ function line({ code, state, text }) {
   Object.assign(item.dataset, { code, state });
   const mark = part("span", MARKS[state], "mark-of");
   mark.setAttribute("aria-hidden", "true");
-  const words = part("p", "");
-  words.append(part("span", WORDS[state], "unseen"), text);
+  const words = part("p", text);
+  const plain = words.textContent;
+  words.prepend(part("span", WORDS[state], "unseen"));
   const name = part("div", "");
   name.append(mark, part("strong", TITLES[code]));
-  name.title = text;
+  name.title = plain;
   item.append(name, words);
   if (state === "now") item.setAttribute("aria-current", "step");
   return item;

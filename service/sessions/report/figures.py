@@ -1,0 +1,143 @@
+"""Figures of a session's report, computed from its samples alone: whoever has the export can compute them again."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from engine.core.clock import NS_PER_S
+from service.core.schemas.reports import GatedMotion, HeldTime, Range, ReportFigures
+from service.storage.samples.figures import LONGEST_STEP_NS, Figures, hold_list
+
+BASELINE_S = 30.0
+SIGNALS = ("whole", "thorax", "abdomen")
+NUMBERS = (
+    *("decided_ns", "missed_frames", "whole_mm", "thorax_mm", "abdomen_mm", "signal_mm", "volume_l"),
+    *("rate_per_min", "breath_amplitude", "breath_baseline"),
+)
+TEXTS = ("gate", "hold_reason", "state")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleColumns:
+    """The columns that a report needs, one value a frame: numbers with NaN for null, texts with "" for null."""
+
+    numbers: dict[str, npt.NDArray[np.float64]]
+    texts: dict[str, npt.NDArray[np.object_]]
+    decided_ns: npt.NDArray[np.int64]
+
+    @property
+    def steps_s(self) -> npt.NDArray[np.float64]:
+        """Time from each sample to the next, at most a second; 0 after the last [s]."""
+        steps_ns = np.clip(np.diff(self.decided_ns, append=self.decided_ns[-1:]), 0, LONGEST_STEP_NS)
+        return np.asarray(steps_ns / NS_PER_S)
+
+    @property
+    def seconds(self) -> npt.NDArray[np.float64]:
+        """Time of each sample since the first [s]."""
+        return np.asarray((self.decided_ns - self.decided_ns[:1]) / NS_PER_S)
+
+
+def read_columns(batches: Iterable[pa.RecordBatch]) -> tuple[SampleColumns, Figures]:
+    """Read the columns of a session, and count what is counted while it runs."""
+    counted, read = Figures(), list[pa.RecordBatch]()
+    for batch in batches:
+        counted.add(batch)
+        read.append(batch.select([*NUMBERS, *TEXTS]))
+    if not read:
+        empty = np.empty(0)
+        return (
+            SampleColumns(dict.fromkeys(NUMBERS, empty), dict.fromkeys(TEXTS, empty.astype(object)), empty.astype(int)),
+            counted,
+        )
+    table = pa.Table.from_batches(read)
+    numbers = {
+        name: np.asarray(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+        for name in NUMBERS
+        if name != "decided_ns"
+    }
+    texts = {name: table[name].fill_null("").to_numpy(zero_copy_only=False) for name in TEXTS}
+    return SampleColumns(numbers, texts, table["decided_ns"].to_numpy()), counted
+
+
+def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
+    """Compute the figures of a report."""
+    gate, steps_s = columns.texts["gate"], columns.steps_s
+    is_on, is_armed = gate == "beam_on", gate != "disarmed"
+    armed_s, on_s = float(steps_s[is_armed].sum()), float(steps_s[is_on].sum())
+    summary = counted.summary()
+    first, last = _baselines(columns)
+    rates = columns.numbers["rate_per_min"]
+    return ReportFigures(
+        frames=counted.frames,
+        missed_frames=counted.missed_frames,
+        lost=counted.lost,
+        recorded_s=round(float(steps_s.sum()), 2),
+        armed_s=round(armed_s, 2),
+        beam_on_s=round(on_s, 2),
+        duty_percent=round(100.0 * on_s / armed_s, 1) if armed_s > 0.0 else None,
+        pulses=len(pulses_s(is_on, steps_s)),
+        pulse_s=_range(np.array(pulses_s(is_on, steps_s)), 2),
+        holds=_held(columns, steps_s),
+        motion=[one for one in (_motion(columns, signal, is_on) for signal in SIGNALS) if one is not None],
+        period_s=_range(60.0 / np.where(rates > 0.0, rates, np.nan), 2),
+        amplitude=_range(columns.numbers["breath_amplitude"], 2),
+        baseline_first=first,
+        baseline_last=last,
+        latency=summary.latency,
+    )
+
+
+def pulses_s(is_on: npt.NDArray[np.bool_], steps_s: npt.NDArray[np.float64]) -> list[float]:
+    """Return the length of each stretch with the beam on [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_on, [False])).astype(np.int8)))
+    return [float(steps_s[start:end].sum()) for start, end in edges.reshape(-1, 2)]
+
+
+def _motion(columns: SampleColumns, signal: str, is_on: npt.NDArray[np.bool_]) -> GatedMotion | None:
+    values = columns.numbers[f"{signal}_mm"][is_on]
+    values = values[np.isfinite(values)]
+    if len(values) == 0:
+        return None
+    mean = float(values.mean())
+    return GatedMotion.model_validate(
+        {
+            "signal": signal,
+            "mean_mm": round(mean, 2),
+            "deviation_mm": round(float(values.std()), 2),
+            "within_95_mm": round(float(np.percentile(np.abs(values - mean), 95.0)), 2),
+            "frames": len(values),
+        }
+    )
+
+
+def _held(columns: SampleColumns, steps_s: npt.NDArray[np.float64]) -> list[HeldTime]:
+    """Count how often each reason held the armed gate, and for how long."""
+    gate, reasons = columns.texts["gate"], columns.texts["hold_reason"]
+    held = np.where((gate == "hold") | (gate == "fault"), reasons, "")
+    begins = held != np.concatenate(([""], held[:-1])) if len(held) else held.astype(bool)
+    counts = Counter(str(reason) for reason in held[begins & (held != "")])
+    return [
+        HeldTime(**dict(one), seconds=round(float(steps_s[held == one.reason].sum()), 2)) for one in hold_list(counts)
+    ]
+
+
+def _baselines(columns: SampleColumns) -> tuple[float | None, float | None]:
+    values, seconds = columns.numbers["breath_baseline"], columns.seconds
+    known = np.isfinite(values)
+    if not known.any():
+        return None, None
+    values, seconds = values[known], seconds[known]
+    first, last = values[seconds <= seconds[0] + BASELINE_S], values[seconds >= seconds[-1] - BASELINE_S]
+    return round(float(np.median(first)), 2), round(float(np.median(last)), 2)
+
+
+def _range(values: npt.NDArray[np.float64], digits: int) -> Range | None:
+    values = values[np.isfinite(values)]
+    if len(values) == 0:
+        return None
+    median, low, high = (round(float(np.percentile(values, share)), digits) for share in (50.0, 5.0, 95.0))
+    return Range(median=median, low=low, high=high)

@@ -1,0 +1,212 @@
+"""The report's pages: one list of sections, typeset as PDF by typst, and written as HTML; the same numbers in both."""
+
+import html
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.resources import files
+
+import typst
+
+from service.core.schemas.reports import Range, SessionReport
+from service.core.schemas.windows import Window
+from service.sessions.report.picture import trace_svg
+from service.sessions.report.reports import StoredReport
+
+NONE = "\N{EN DASH}"
+NOTE = "Research and commissioning only; not cleared for clinical use. Times of permitted beam are not a dose."
+TEMPLATE = "report.typ"
+_STYLE = (
+    "body{font:15px/1.4 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#131a20}h1{font-size:1.5em}"
+    "h2{font-size:1.05em;border-bottom:1px solid #ccd5dd;margin:1.4em 0 .3em}table{border-collapse:collapse;width:100%}"
+    "td,th{text-align:left;padding:.15em .8em .15em 0;vertical-align:top}td:first-child{color:#4a5a68}"
+    "svg{width:100%;height:auto}p.note{color:#4a5a68}"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A titled table; the first of ``rows`` are its headings where it has some. Details come behind the signatures."""
+
+    title: str
+    rows: Sequence[Sequence[str]]
+    has_headings: bool = False
+    is_detail: bool = False
+
+
+def report_pdf(stored: StoredReport) -> bytes:
+    """Typeset the report: the same bytes for the same session."""
+    report = stored.report
+    made_at = report.session.ended_at or report.session.created_at
+    document = {
+        "title": _title(report),
+        "note": NOTE,
+        "svg": trace_svg(stored.columns),
+        "date": [made_at.year, made_at.month, made_at.day],
+        "sections": [
+            {"title": one.title, "rows": one.rows, "headings": one.has_headings, "detail": one.is_detail}
+            for one in sections(report)
+        ],
+    }
+    template = files("service.sessions.report").joinpath(TEMPLATE).read_bytes()
+    return bytes(
+        typst.compile(
+            template,
+            format="pdf",
+            ignore_system_fonts=True,
+            sys_inputs={"document": json.dumps(document)},
+            timestamp=int(made_at.timestamp()),
+        )
+    )
+
+
+def report_html(stored: StoredReport) -> str:
+    """Write the report as a page without scripts, that needs nothing else."""
+    report = stored.report
+    parts = [
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+        f"<title>{html.escape(_title(report))}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{html.escape(_title(report))}</h1><p class='note'>{html.escape(NOTE)}</p>{trace_svg(stored.columns)}",
+    ]
+    for section in sections(report):
+        parts.append(f"<h2>{html.escape(section.title)}</h2><table>")
+        for number, row in enumerate(section.rows):
+            cell = "th" if section.has_headings and number == 0 else "td"
+            parts.append("<tr>" + "".join(f"<{cell}>{html.escape(one)}</{cell}>" for one in row) + "</tr>")
+        parts.append("</table>")
+    return "".join([*parts, "</body></html>"])
+
+
+def sections(report: SessionReport) -> list[Section]:
+    """Return everything that the report states, in its order."""
+    return [
+        Section(title="Session", rows=list(_session(report))),
+        Section(title="To be looked at", rows=[[one] for one in report.deviations or ["nothing"]]),
+        Section(title="Beam", rows=list(_beam(report))),
+        Section(title="Motion while the beam was on [mm]", rows=list(_motion(report)), has_headings=True),
+        Section(title="Breathing", rows=list(_breathing(report))),
+        Section(title="Holds while armed", rows=list(_holds(report)), has_headings=True),
+        Section(title="Measurement", rows=list(_measurement(report))),
+        *([Section(title="Position against the plan", rows=list(_position(report)))] if report.position else []),
+        Section(title="Who did what (UTC)", rows=list(_events(report)), has_headings=True, is_detail=True),
+        Section(title="Versions and hashes", rows=list(_versions(report)), is_detail=True),
+    ]
+
+
+def _title(report: SessionReport) -> str:
+    session = report.session
+    return f"{session.patient_reference}, {session.plan_id}, fraction {session.fraction_id}"
+
+
+def _session(report: SessionReport) -> Iterator[list[str]]:
+    session = report.session
+    number = "" if session.fraction_number is None else f" (no. {session.fraction_number})"
+    yield ["patient", session.patient_reference]
+    yield ["plan, fraction", f"{session.plan_id}, {session.fraction_id}{number}"]
+    yield ["state", session.status]
+    yield ["time", f"{_at(session.started_at)} to {_at(session.ended_at)} UTC"]
+    yield ["created by", session.operator]
+    yield ["window, as prescribed", window_text(session.window)]
+    yield [
+        "source",
+        session.source.path if session.source.kind == "recording" else session.source.uri or "first camera",
+    ]
+    yield ["session", report.session_id]
+
+
+def window_text(window: Window) -> str:
+    """Return the conditions of a window in words, with their edges and the dwell."""
+    stated = window.model_dump(exclude_none=True)
+    further = stated.pop("further", [])
+    join = f" {stated.pop('join', 'and')} "
+    return join.join(_condition(one) for one in [stated, *further]) + f"; dwell {window.dwell_ms:g} ms"
+
+
+def _condition(one: dict[str, object]) -> str:
+    edges = [(name, one[name]) for name in one if name.startswith(("lower_", "upper_", "from_", "to_"))]
+    unit = next((name.partition("_")[2] for name, _ in edges), "")
+    low_high = " to ".join(f"{value:g}" for _, value in edges if isinstance(value, int | float))
+    unit = {"percent": "% of the breath"}.get(unit, unit)
+    return f"{str(one['kind']).replace('_', ' ')} of {one.get('name') or one['signal']}, {low_high} {unit}".rstrip()
+
+
+def _beam(report: SessionReport) -> Iterator[list[str]]:
+    figures = report.figures
+    yield ["beam on", f"{figures.beam_on_s:.2f} s"]
+    yield ["armed", f"{figures.armed_s:.2f} s"]
+    yield ["duty cycle while armed", NONE if figures.duty_percent is None else f"{figures.duty_percent:.1f} %"]
+    yield ["pulses", str(figures.pulses)]
+    yield ["length of a pulse, median (5 to 95 %)", _range(figures.pulse_s, "s")]
+
+
+def _motion(report: SessionReport) -> Iterator[list[str]]:
+    yield ["region", "mean", "standard deviation", "95 % within", "frames"]
+    for one in report.figures.motion:
+        yield [
+            one.signal,
+            _signed(one.mean_mm),
+            f"{one.deviation_mm:.2f}",
+            f"±{one.within_95_mm:.2f}",
+            str(one.frames),
+        ]
+    if not report.figures.motion:
+        yield [NONE] * 5
+
+
+def _breathing(report: SessionReport) -> Iterator[list[str]]:
+    figures = report.figures
+    yield ["period, median (5 to 95 %)", _range(figures.period_s, "s")]
+    yield ["amplitude, median (5 to 95 %)", _range(figures.amplitude, "mm")]
+    first, last = figures.baseline_first, figures.baseline_last
+    known = [_signed(one) for one in (first, last) if one is not None]
+    yield ["end of exhale, first to last 30 s", f"{' to '.join(known)} mm" if known else NONE]
+
+
+def _holds(report: SessionReport) -> Iterator[list[str]]:
+    yield ["cause", "holds", "time"]
+    for one in report.figures.holds:
+        yield [one.text, str(one.count), f"{one.seconds:.2f} s"]
+    if not report.figures.holds:
+        yield ["none", "0", "0.00 s"]
+
+
+def _measurement(report: SessionReport) -> Iterator[list[str]]:
+    figures = report.figures
+    yield ["recorded", f"{figures.recorded_s:.2f} s, {figures.frames} frames"]
+    yield ["not measured; never received", f"{figures.lost}; {figures.missed_frames}"]
+    times = (figures.latency.p50_ms, figures.latency.p99_ms, figures.latency.max_ms)
+    yield ["latency, median; 99 %; longest", "; ".join(NONE if one is None else f"{one:.1f} ms" for one in times)]
+
+
+def _position(report: SessionReport) -> Iterator[list[str]]:
+    for one in report.position:
+        value = NONE if one.value is None else f"{_signed(one.value)} {one.unit}"
+        yield [one.name, f"{value}, tolerance {one.tolerance:g} {one.unit}"]
+
+
+def _events(report: SessionReport) -> Iterator[list[str]]:
+    yield ["time", "who", "what"]
+    for one in report.events:
+        yield [f"{one.at.astimezone(UTC):%H:%M:%S}", one.actor, one.text]
+
+
+def _versions(report: SessionReport) -> Iterator[list[str]]:
+    yield ["Tidegate", report.software or NONE]
+    yield ["model", report.model or NONE]
+    yield ["samples, SHA-256", report.samples_sha256 or NONE]
+    yield ["calibration, SHA-256", report.calibration_sha256 or NONE]
+    yield ["settings, SHA-256", report.settings_sha256 or NONE]
+
+
+def _at(moment: datetime | None) -> str:
+    return NONE if moment is None else f"{moment.astimezone(UTC):%Y-%m-%d %H:%M:%S}"
+
+
+def _range(one: Range | None, unit: str) -> str:
+    return NONE if one is None else f"{one.median:.2f} ({one.low:.2f} to {one.high:.2f}) {unit}"
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.2f}"
+    return "0.00" if text in {"+0.00", "-0.00"} else text.replace("-", "\N{MINUS SIGN}")

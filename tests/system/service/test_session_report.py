@@ -1,0 +1,166 @@
+"""The report of a session that the real service ran: every number again from its exported samples alone."""
+
+import html
+import io
+import re
+from itertools import groupby
+
+import numpy as np
+import pyarrow.ipc
+import pytest
+from typer.testing import CliRunner
+
+from service.cli import app
+from service.core.settings.settings import Settings
+from service.web.app import create_app
+from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
+from tests.support.service.accounts import PeopleClient
+from tests.support.service.api_calls import audit_rows
+
+pytestmark = pytest.mark.long
+
+MINUS = "\N{MINUS SIGN}"
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory, regular_volunteer) -> Played:
+    data_dir = tmp_path_factory.mktemp("reported") / "data"
+    return play(
+        data_dir, regular_volunteer, seed=11, troubles=Troubles(loss=0.02), window=SOON, person=DeliberatePerson()
+    )
+
+
+@pytest.fixture(scope="module")
+def client(played):
+    settings = Settings(data_dir=played.data_dir, allowed_hosts=("testserver",))
+    with PeopleClient(create_app(settings)) as client:
+        yield client
+
+
+def export(client, played, form):
+    answer = client.get(f"/api/v1/sessions/{played.session_id}/{form}")
+    assert answer.status_code == 200, answer.text
+    return answer
+
+
+@pytest.fixture(scope="module")
+def samples(client, played):
+    body = export(client, played, "samples?format=arrow").content
+    return pyarrow.ipc.open_stream(io.BytesIO(body)).read_all().to_pylist()
+
+
+@pytest.fixture(scope="module")
+def stated(client, played) -> dict[str, list[list[str]]]:
+    """Each table of the page by its title, as texts."""
+    page = export(client, played, "report.html").text
+    found = {}
+    for title, table in re.findall(r"<h2>(.*?)</h2><table>(.*?)</table>", page, re.DOTALL):
+        rows = re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
+        found[html.unescape(title)] = [
+            [html.unescape(cell) for cell in re.findall(r"<t[dh]>(.*?)</t[dh]>", row, re.DOTALL)] for row in rows
+        ]
+    return found
+
+
+def seconds_of(samples):
+    times = [row["decided_ns"] for row in samples]
+    return [min(max(later - now, 0), 10**9) / 1e9 for now, later in zip(times, [*times[1:], times[-1]], strict=True)]
+
+
+def middle(values, unit):
+    """Median and the range of the middle 90 %, linear between values; a dash without any."""
+    ordered = sorted(values)
+    if not ordered:
+        return "\N{EN DASH}"
+
+    def at(share):
+        place = share * (len(ordered) - 1)
+        low = int(place)
+        return ordered[low] + (place - low) * (ordered[min(low + 1, len(ordered) - 1)] - ordered[low])
+
+    return f"{at(0.5):.2f} ({at(0.05):.2f} to {at(0.95):.2f}) {unit}"
+
+
+def test_beam_pulses_and_duty_are_those_of_the_samples(samples, stated):
+    steps = seconds_of(samples)
+    on = [step for row, step in zip(samples, steps, strict=True) if row["gate"] == "beam_on"]
+    armed = [step for row, step in zip(samples, steps, strict=True) if row["gate"] != "disarmed"]
+    runs = groupby(zip(samples, steps, strict=True), key=lambda one: one[0]["gate"] == "beam_on")
+    pulses = [sum(step for _, step in run) for is_on, run in runs if is_on]
+    assert len(pulses) > 2
+    assert dict(stated["Beam"]) == {
+        "beam on": f"{sum(on):.2f} s",
+        "armed": f"{sum(armed):.2f} s",
+        "duty cycle while armed": f"{100.0 * sum(on) / sum(armed):.1f} %",
+        "pulses": str(len(pulses)),
+        "length of a pulse, median (5 to 95 %)": middle(pulses, "s"),
+    }
+
+
+def test_the_motion_while_the_beam_was_on_is_that_of_the_samples(samples, stated):
+    rows = stated["Motion while the beam was on [mm]"][1:]
+    assert [row[0] for row in rows] == ["whole", "thorax", "abdomen"]
+    for name, *figures in rows:
+        values = np.array([row[f"{name}_mm"] for row in samples if row["gate"] == "beam_on"], dtype=float)
+        values = values[np.isfinite(values)]
+        away = sorted(abs(values - values.mean()))
+        place = 0.95 * (len(away) - 1)
+        within = away[int(place)] + (place % 1.0) * (away[min(int(place) + 1, len(away) - 1)] - away[int(place)])
+        signed = f"{values.mean():+.2f}".replace("-", MINUS)
+        assert figures == [signed, f"{values.std():.2f}", f"±{within:.2f}", str(len(values))]
+
+
+def test_holds_breathing_and_frames_are_those_of_the_samples(client, samples, stated):
+    steps, before, counts, times = seconds_of(samples), "", {}, {}
+    texts = {one["code"]: one["text"] for one in client.get("/api/v1/interlocks").json()["items"]}
+    for row, step in zip(samples, steps, strict=True):
+        reason = (row["hold_reason"] or "") if row["gate"] in {"hold", "fault"} else ""
+        if reason:
+            counts[reason] = counts.get(reason, 0) + (reason != before)
+            times[reason] = times.get(reason, 0.0) + step
+        before = reason
+    assert counts
+    ordered = sorted(counts, key=lambda reason: (-counts[reason], reason))
+    wanted = [[texts.get(one, one), str(counts[one]), f"{times[one]:.2f} s"] for one in ordered]
+    assert stated["Holds while armed"][1:] == wanted
+    periods = [60.0 / row["rate_per_min"] for row in samples if row["rate_per_min"]]
+    amplitudes = [row["breath_amplitude"] for row in samples if row["breath_amplitude"] is not None]
+    breathing = dict(stated["Breathing"])
+    assert breathing["period, median (5 to 95 %)"] == middle(periods, "s")
+    assert breathing["amplitude, median (5 to 95 %)"] == middle(amplitudes, "mm")
+    lost = sum(row["state"] == "lost" for row in samples)
+    missed = sum(row["missed_frames"] for row in samples)
+    measured = dict(stated["Measurement"])
+    assert measured["recorded"] == f"{sum(steps):.2f} s, {len(samples)} frames"
+    assert measured["not measured; never received"] == f"{lost}; {missed}"
+
+
+def test_it_says_who_did_what_and_what_is_to_be_looked_at(stated):
+    acts = [row[2] for row in stated["Who did what (UTC)"][1:]]
+    assert acts[0] == "created"
+    assert {"started", "reference set", "armed"} <= {one.partition(" (")[0] for one in acts}
+    assert ["the beam line was simulated"] in stated["To be looked at"]
+    versions = dict(stated["Versions and hashes"])
+    assert all(len(versions[f"{name}, SHA-256"]) == 64 for name in ("samples", "calibration"))
+
+
+def test_the_pdf_is_the_same_each_time_and_has_two_pages_at_most(client, played):
+    first, second = (export(client, played, "report.pdf") for _ in range(2))
+    assert first.headers["content-type"] == "application/pdf"
+    assert first.content == second.content
+    assert first.content.startswith(b"%PDF-")
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", first.content)) <= 2
+    assert [row["detail"] for row in audit_rows(client, "report.export")][-1] == {"format": "pdf"}
+
+
+def test_the_command_writes_what_the_service_answers(client, played, tmp_path, monkeypatch):
+    monkeypatch.setenv("TIDEGATE_DATA_DIR", str(played.data_dir))
+    out = tmp_path / "report.pdf"
+    answer = CliRunner().invoke(app, ["report", played.session_id, "--out", str(out)])
+    assert answer.exit_code == 0, answer.output
+    assert out.read_bytes() == export(client, played, "report.pdf").content
+    refused = CliRunner().invoke(app, ["report", played.session_id, "--out", str(tmp_path / "report.doc")])
+    assert refused.exit_code == 2
+    assert "out must end in .pdf or .html" in refused.output
+    missing = CliRunner().invoke(app, ["report", "0" * 32, "--out", str(out)])
+    assert (missing.exit_code, list(tmp_path.iterdir())) == (2, [out])
