@@ -96,7 +96,7 @@ def main(
                 hands = Keyboard() if is_by_keyboard else Mouse()
                 found.append(_run(page, http, hands))
                 newcomer, took_s, percent = found[-1]
-                tabs = f", most Tabs {max(hands.tabs, key=lambda one: one[1])}" if isinstance(hands, Keyboard) else ""
+                tabs = f", Tabs {hands.tabs}" if isinstance(hands, Keyboard) else ""
                 typer.echo(
                     f"{number + 1}: {len(newcomer.fields)} fields ({', '.join(newcomer.fields)}), "
                     f"{len(newcomer.presses) - 1} presses, {len(newcomer.decisions)} decisions, "

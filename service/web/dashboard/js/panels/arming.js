@@ -12,7 +12,8 @@ import { TwoPresses } from "./two_presses.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
-const READ_MS = 2000;
+/** Time after which the summary is read again [ms]: a model that is fitted meanwhile has to be seen before it is armed. */
+const READ_MS = 500;
 /** Time after which the summary closes: what was looked at longer ago is looked at again [ms]. */
 const CLOSE_MS = 60000;
 const TITLES = {
@@ -145,6 +146,8 @@ export class ArmingPanel {
     const reason = this.reason.value.trim();
     const operator = this.controls.operatorName;
     this.close();
+    // Where it is refused, the way to the summary is the next step again.
+    this.controls.leaveFields("");
     this.controls.run("arm", async () => {
       await arm(id, operator, head, etag, state, reason);
       rememberArming(id, operator);

@@ -23,7 +23,7 @@ const HALT_TITLES = { disarm: tr("controls.holds_the_beam_until_a_person_arms_ag
 /** Buttons that never get the focus by themselves: each needs a decision of its own. */
 const DECISIONS = ["acknowledge", "release", "sign"];
 /** Within this time after an act the next step's button gets the focus [ms]. */
-const GO_ON_MS = 5000;
+const GO_ON_MS = 60_000;
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
 const PERMITTING = ["acknowledge", "arm", "release", "sign"];
 /** Actions after which the gate is armed. */
@@ -245,6 +245,12 @@ export class Controls {
     document.activeElement?.blur();
   }
 
+  /** The person is done with the fields of a step: the focus goes on as after its button. */
+  leaveFields(action) {
+    document.activeElement?.blur();
+    this.left = { action, atMs: performance.now() };
+  }
+
   /** Focus the next step's button after an act, unless the person has gone elsewhere. Never one that is a decision. */
   #goOn() {
     if (this.left === null || this.busy !== null) return;
@@ -258,7 +264,7 @@ export class Controls {
   /** Whether the click counts; else it is ignored with a message. */
   #isMeant(action, event) {
     const refusal = this.clickGuard.refusal(event);
-    if (refusal === "moved") this.say("failed", `${label(action)}. Not sent: ${MOVED}. Click again.`);
+    if (refusal === "moved") this.say("failed", tr("controls.not_sent", { action: label(action), why: MOVED }));
     return refusal === "";
   }
 

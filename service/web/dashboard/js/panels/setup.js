@@ -48,8 +48,14 @@ export class Setup {
     if (isShown) {
       this.panel.scrollTop = 0;
       this.#offer();
-      this.refresh();
+      this.#begin();
     }
+  }
+
+  /** Focus the first plan, where no one has gone anywhere yet. */
+  async #begin() {
+    await this.refresh();
+    if (document.activeElement === document.body && !this.panel.hidden) document.querySelector("#plan-list button")?.focus();
   }
 
   /** Clear all names and patients after a log-out. */

@@ -97,7 +97,7 @@ export function stepsOf({ sample, session, windowLookedAt, model }) {
     cameraStep(sample, session),
     step("markers", sample !== null && sample.state !== "lost", markersText(sample)),
     step("training", sample?.state === "measuring", trainingText(sample, model)),
-    step("reference", sample?.state === "measuring" && session?.has_reference === true && !needsReference(sample, session) && roomMoveOf(sample) === null, referenceText(sample, session), "do-reference"),
+    step("reference", sample?.state === "measuring" && (session?.has_reference === true || Boolean(sample.reference)) && !needsReference(sample, session) && roomMoveOf(sample) === null, referenceText(sample, session), "do-reference"),
   ];
   const check = sample?.position_check;
   if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", said(check.text), "do-sign"));

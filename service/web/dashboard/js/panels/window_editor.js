@@ -32,7 +32,10 @@ export class WindowEditor {
     this.reason = this.form.elements.reason;
     this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
     byId("window-held").addEventListener("click", () => this.#takeHeld());
-    byId("window-cancel").addEventListener("click", () => this.close());
+    byId("window-cancel").addEventListener("click", () => {
+      this.close();
+      this.controls.leaveFields("window");
+    });
     form.addEventListener("submit", (event) => this.#submit(event));
     form.addEventListener("input", (event) => this.#follow(event));
     const { surface } = trace;
@@ -278,6 +281,7 @@ export class WindowEditor {
         throw error;
       }
       this.close();
+      this.controls.leaveFields("window");
     });
   }
 }
