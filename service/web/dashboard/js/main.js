@@ -95,6 +95,8 @@ const mismatch = new MismatchWatch();
 let session = null;
 let shownSessionId = null;
 let lastGate = "";
+/** When this page saw the gate go to its present state [ms]; null where it was in it before. */
+let beganMs = null;
 let drawn = { trace: -Infinity, panels: -Infinity };
 let hasLooked = false;
 let isSimulatedBeam = false;
@@ -133,6 +135,8 @@ function leave() {
   stream.stop();
   session = null;
   shownSessionId = null;
+  lastGate = "";
+  beganMs = null;
   hasLooked = false;
   labelled = { key: null, nextMs: 0 };
   trace.reset(null);
@@ -207,6 +211,7 @@ function receive(message, nowMs) {
   picture.add(message);
   const gateNow = `${message.gate} ${message.hold_reason}`;
   if (gateNow !== lastGate) {
+    beganMs = lastGate === "" ? null : nowMs;
     events.hurry(nowMs);
     nextDescribeMs = Math.min(nextDescribeMs, nowMs + SOON_MS);
   }
@@ -389,7 +394,7 @@ function drawPanels(nowMs, view, sample) {
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
   renderTreatment(sample, session, serverMs(nowMs));
-  setText(byId("gate-time"), timeText(sample, session, serverMs(nowMs)));
+  setText(byId("gate-time"), timeText(sample, session, serverMs(nowMs), beganMs === null ? null : nowMs - beganMs));
   renderBreath(sample);
   renderCalibration(sample?.calibration ?? session?.calibration);
   renderSource(session?.source_warning);

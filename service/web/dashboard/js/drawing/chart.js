@@ -28,6 +28,7 @@ export class Chart {
    * @param {HTMLElement} host filled by the chart
    * @param {(() => string)[]} colors of the lines, as they are when drawn, the first one in front
    * @param {{below: (pen: Pen) => void, above: (pen: Pen) => void, times: (from: number, to: number) => {at: number, text: string}[],
+   *   hasLabels: () => boolean,
    *   isJoined: (index: number) => boolean, onPress: () => boolean, onSelect: (from: number, to: number) => void, onRelease: () => void}} given
    *   `onPress` returns false where the pointer is used for something else
    */
@@ -109,7 +110,7 @@ export class Chart {
         },
         {
           ...axis, size: LEFT_PX, gap: 7, incrs: VALUE_STEPS, space: VALUE_SPACE_PX,
-          values: (_, values, __, ___, step) => values.map((value) => fixed(value, step < 0.1 ? 2 : step < 1 ? 1 : 0)),
+          values: (_, values, __, ___, step) => values.map((value) => (this.given.hasLabels() ? fixed(value, step < 0.1 ? 2 : step < 1 ? 1 : 0) : "")),
         },
       ],
       cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 6 }, bind: this.#bindings() },

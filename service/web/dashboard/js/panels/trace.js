@@ -45,6 +45,7 @@ export class Trace {
       below: (pen) => this.#drawBelow(pen),
       above: (pen) => this.#drawAbove(pen),
       times: (from, to) => this.#times(from, to),
+      hasLabels: () => this.#hasLabels,
       isJoined: (i) => this.kept.all[i]?.isJoined === true,
       onPress: () => this.#press(),
       onSelect: (from, to) => this.view.hold(from, to, performance.now()),
@@ -225,7 +226,7 @@ export class Trace {
   #drawBelow(pen) {
     if (this.window === null) return;
     const [from, to] = this.view.range(this.nowS);
-    layers.drawUnit(pen, this.#unit());
+    if (this.#hasLabels) layers.drawUnit(pen, this.#unit());
     layers.clip(pen);
     layers.drawBeam(pen, this.kept.runs(from, to, (sample) => sample.isOn));
     layers.drawGaps(pen, this.kept.gaps(this.choice, from, to, this.nowS));
@@ -245,7 +246,7 @@ export class Trace {
     if (last === undefined || this.window === null) return;
     const [from, to] = this.view.range(this.nowS);
     const [steps, holds] = [this.kept.steps.filter(({ t }) => t >= from), this.kept.holds(from, to)];
-    layers.drawLane(pen, [...layers.labelsOf(holds, steps), ...(this.#showsGated() ? this.marks.labels(from) : [])]);
+    if (this.#hasLabels) layers.drawLane(pen, [...layers.labelsOf(holds, steps), ...(this.#showsGated() ? this.marks.labels(from) : [])]);
     layers.clip(pen);
     layers.drawSteps(pen, steps);
     layers.drawStates(pen, this.kept.states(from, to));
@@ -255,9 +256,14 @@ export class Trace {
     layers.drawRemark(pen, tr("trace.not_the_gated_signal_the_window_is_on", { value: signalName(conditionsOf(this.window)[0]) }));
   }
 
+  /** From a distance no label of the trace can be read: it has none there. */
+  get #hasLabels() {
+    return document.body.dataset.view !== "distance";
+  }
+
   /** Seconds before now while live, and the time of day where the trace stands still. */
   #times(from, to) {
-    if (this.kept.all.length === 0) return [];
+    if (this.kept.all.length === 0 || !this.#hasLabels) return [];
     const step = TIME_STEPS.find((one) => (to - from) / one <= MOST_TIMES) ?? TIME_STEPS.at(-1);
     if (this.view.isLive) {
       const count = Math.floor((to - from) / step + 1e-6);

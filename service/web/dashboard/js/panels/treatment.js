@@ -30,10 +30,16 @@ export function renderTreatment(sample, session, serverMs) {
   byId("treatment-holds").title = holds.map((one) => `${whatIs(one.reason, one.text)}: ${one.count}`).join("\n");
 }
 
-/** How long the gate has been in the state that is shown; empty while that is not known. */
-export function timeText(sample, session, serverMs) {
-  const since = sample !== null && session?.id === sample.session_id ? sinceOf(sample, session.gate) : null;
-  return since === null ? "" : tr("distance.for", { time: duration(Math.max(0, (serverMs - since) / 1000)) });
+/**
+ * How long the gate has been in the state that is shown; empty while that is not known.
+ *
+ * @param {?number} seenMs for how long this page has seen it, if it saw it begin: the service records it a moment later [ms]
+ */
+export function timeText(sample, session, serverMs, seenMs) {
+  if (sample === null) return "";
+  const since = session?.id === sample.session_id ? sinceOf(sample, session.gate) : null;
+  const forMs = since === null ? seenMs : serverMs - since;
+  return forMs === null ? "" : tr("distance.for", { time: duration(Math.max(0, forMs / 1000)) });
 }
 
 /** When the gate came to the state that is shown; null while the service has not recorded it. */
