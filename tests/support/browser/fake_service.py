@@ -95,6 +95,21 @@ PLAN = {
     "last_session": None,
 }
 
+REPORT = {
+    "figures": {
+        "motion": [
+            {"signal": "whole", "mean_mm": 0.42, "deviation_mm": 0.81, "within_95_mm": 1.52, "frames": 1236},
+            {"signal": "thorax", "mean_mm": 0.2, "deviation_mm": 0.4, "within_95_mm": 0.8, "frames": 1236},
+        ]
+    },
+    "deviations": ["the beam line was simulated"],
+    "events": [
+        {"at": "2026-11-21T09:12:40Z", "actor": "A. Therapist", "action": "session.arm", "text": "armed"},
+        {"at": "2026-11-21T09:18:50Z", "actor": "A. Therapist", "action": "session.stop", "text": "stopped"},
+    ],
+}
+"""What the page takes from the report of a session."""
+
 WAITING = {
     "frames": 0,
     "cycles": 0,
@@ -423,6 +438,7 @@ class FakeService:
         self.schema = "tidegate.live/1"
         self.room = "Linac-2"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
+        self.report: dict[str, Any] = copy.deepcopy(REPORT)
         self.models: list[dict[str, Any]] = []
         self.of_model: dict[str, dict[str, Any]] = {}  # answers below /models/, by path
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
@@ -462,6 +478,8 @@ class FakeService:
         routes = [
             WebSocketRoute("/api/v1/live", self._live),
             Route("/api/v1/sessions/{id}/picture", self._picture),
+            Route("/api/v1/sessions/{id}/report", lambda _request: JSONResponse(self.report)),
+            Route("/api/v1/sessions/{id}/samples", lambda _request: Response(samples_csv(), media_type="text/csv")),
             Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
             Route("/hang", self._hang),
             Route("/{path:path}", self._file),
@@ -632,6 +650,20 @@ class FakeService:
             return JSONResponse(CALIBRATION, 201)
         found = [one for one in self.sessions if path.startswith(f"/sessions/{one['id']}")]
         return JSONResponse(found[0]) if found else JSONResponse({"detail": "no such session"}, 404)
+
+
+def samples_csv(seconds: float = 120.0) -> str:
+    """Export a session of so many seconds: breaths of 4 s, the beam on below 3 mm, and a marker lost at 60 s."""
+    lines = ["frame_index,state,whole_mm,thorax_mm,abdomen_mm,gate,hold_reason,decided_ns"]
+    for index in range(round(30.0 * seconds)):
+        at_s = index / 30.0
+        mm = 5.0 - 5.0 * math.cos(math.pi * at_s / 2.0)
+        is_lost = 60.0 <= at_s < 61.0
+        gate, reason = ("beam_on", "") if mm < 3.0 and not is_lost else ("hold", "outside_window")
+        values = ",,," if is_lost else f"{mm:.3f},{mm / 2:.3f},{1.4 * mm:.3f},"
+        reason = "marker_lost" if is_lost else reason
+        lines.append(f"{index},measuring,{values}{gate},{reason},{10**15 + round(at_s * 1e9)}")
+    return "\n".join(lines) + "\n"
 
 
 def _searched(page: Response, search: str) -> Response:

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 
 LOOK_MS = 250
 ACCEPTS = "#do-arm-now:visible:enabled:not([aria-disabled=true])"
-FAILED = ".outcome[data-kind=failed]:visible"
+FAILED = ".outcome[data-kind=failed]:visible:not(:empty)"
 
 
 class Hands(Protocol):

@@ -1,8 +1,11 @@
 """A past session is opened from the list while no session runs; its times are the screen's, with their zone."""
 
-import pytest
-from playwright.sync_api import Browser, expect
+import re
 
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.support.browser.accessibility import tint
 from tests.support.browser.fake_service import SESSION, FakeService, over, sample
 from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
@@ -65,3 +68,71 @@ def test_times_are_the_screen_s_and_name_their_zone(
         expect(page.locator("#report-when")).to_contain_text(f"started 21 Nov 2026, {time}")
         expect(page.locator("#session-list time").first).to_have_text(f"21 Nov 2026, {time}")
     context.close()
+
+
+def past(fake: FakeService, tab: Tab, query: str = "") -> Page:
+    fake.sessions[:] = [NEWEST, OLDER]
+    tab.url += query
+    page = tab.open("idle")
+    if query == "":
+        page.locator("#session-list .open", has_text="P-0002").click()
+    expect(page.locator("#review")).to_be_visible()
+    expect(page.locator("#review-note")).to_have_text("")
+    return page
+
+
+def test_a_session_is_looked_at_again_with_its_trace_figures_and_what_can_be_taken_away(fake: FakeService, tab: Tab):
+    page = past(fake, tab)
+    expect(page.locator("#review-motion tr")).to_have_count(3)
+    expect(page.locator("#review-motion tr").nth(1)).to_have_text("Whole0.420.81±1.52")
+    expect(page.locator("#review-look")).to_have_text("the beam line was simulated")
+    page.click("#review details summary")
+    expect(page.locator("#review-acts li").first).to_contain_text("A. Therapistarmed")
+    wanted = [f"/api/v1/sessions/{OLDER['id']}/{one}" for one in ("report.pdf", "report.html")]
+    wanted += [f"/api/v1/sessions/{OLDER['id']}/samples?format={one}" for one in ("csv", "arrow", "parquet")]
+    assert page.locator("#review-links a").evaluate_all("all => all.map(one => one.getAttribute('href'))") == wanted
+    assert tint(page, "#review-frame canvas").spread > 100, "the trace is drawn"
+
+
+def address(page: Page) -> str:
+    """The address as it is now: Playwright's own is a moment late."""
+    return str(page.evaluate("location.href"))
+
+
+def test_the_address_leads_to_a_session_and_to_a_moment_in_it(fake: FakeService, tab: Tab):
+    page = past(fake, tab)
+    assert f"session={OLDER['id']}" in address(page)
+    assert "from=" not in address(page)
+    page.focus("#review-frame")
+    for key in ("+", "+", "+", "ArrowRight"):
+        page.keyboard.press(key)
+    looked = address(page)
+    assert re.search(r"from=[\d.]+&to=[\d.]+", looked)
+    page.keyboard.press("Home")
+    assert "from=" not in address(page)
+    page.goto(looked)
+    expect(page.locator("#report-heading")).to_have_text("Interrupted: P-0002")
+    expect(page.locator("#review-note")).to_have_text("")
+    assert address(page) == looked
+    page.click("#report-close")
+    assert "session=" not in address(page)
+
+
+def test_an_address_shows_nothing_of_another_patient_beside_one_who_is_treated(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample, fake.sessions[:] = "samples", sample(), [SESSION, OLDER]
+    tab.url += f"/?session={OLDER['id']}"
+    page = tab.open("hold")
+    tab.draws(fake)
+    expect(page.locator("#report")).to_be_hidden()
+    assert "P-0002" not in page.inner_text("body")
+
+
+def test_samples_that_cannot_be_read_are_reported_and_the_summary_stays(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST, OLDER]
+    page = tab.open("idle")
+    page.route(
+        "**/report", lambda route: route.fulfill(status=410, json={"code": "samples_removed", "detail": "removed"})
+    )
+    page.locator("#session-list .open", has_text="P-0002").click()
+    expect(page.locator("#review-note")).to_have_text("Not read: removed")
+    expect(page.locator("#report-figures")).to_contain_text("5400")

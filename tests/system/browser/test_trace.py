@@ -35,8 +35,8 @@ CHART = """async ([count, from, to, kind]) => {
   document.body.append(host);
   const nothing = () => {};
   const isJoined = (i) => !(kind === 'step' && i === from);
-  const acts = { onPress: () => true, onSelect: nothing, onRelease: nothing };
-  const chart = new Chart(host, ['#8fd3ff'], { below: nothing, above: nothing, hasLabels: () => true, times: () => [], isJoined, ...acts });
+  const acts = { hasLabels: () => true, onPress: () => true, onSelect: nothing, onRelease: nothing };
+  const chart = new Chart(host, ['#8fd3ff'], { below: nothing, above: nothing, times: () => [], isJoined, ...acts });
   const times = Array.from({ length: count }, (_, i) => i / 30);
   const values = times.map((_, i) => (i >= from && i < to && kind === 'gap' ? null : i < from ? 0 : 10));
   chart.draw([times, values], [0, count / 30], [-1, 11]);

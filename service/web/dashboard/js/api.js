@@ -93,6 +93,16 @@ export const readQualityMaps = (id) => call("GET", `${model(id)}/quality-maps`);
 export const listModels = (id, limit) => call("GET", `${session(id)}/models?limit=${limit}`);
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");
+const SAMPLES_TIMEOUT_MS = 60_000;
+export const readReport = (id) => call("GET", `${session(id)}/report`);
+/** The samples of a session as CSV, the whole of it. */
+export async function readSamples(id) {
+  const response = await send("GET", `${session(id)}/samples?format=csv`, undefined, { Accept: "text/csv" }, SAMPLES_TIMEOUT_MS);
+  if (!response.ok) throw new ApiError(response.status, (await response.json().catch(() => null)) ?? {});
+  return response.text();
+}
+export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
+export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);

@@ -30,6 +30,7 @@ import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
 import { KeyList } from "./panels/key_list.js";
 import { Report, isOver } from "./panels/report.js";
+import { addressed } from "./panels/review.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
 import { SoundPanel } from "./sounds/sound_panel.js";
@@ -62,6 +63,9 @@ const ASK_MS = 4000;
 const byId = (id) => document.getElementById(id);
 const liveUrl = new URL("/api/v1/live", window.location.href);
 liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
+
+/** The past session that the page was opened for, read before anything changes the address. */
+const linked = addressed();
 
 const access = new Access(() => followAccess());
 const stream = new LiveStream(liveUrl, receive, () => access.ask());
@@ -257,6 +261,11 @@ async function lookForSession() {
     return;
   }
   if (!access.may("watch")) return;
+  if (isFirstLook && linked !== null && !items.some((one) => one.status === "running" || one.status === "created")) {
+    setup.show(false);
+    report.open(linked, true, linked.range);
+    return;
+  }
   const [newest] = items;
   if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
   else if (newest !== undefined && newest.id === shownSessionId) session = newest;

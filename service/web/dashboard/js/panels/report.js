@@ -8,6 +8,7 @@ import { byId, part, said, setText } from "../drawing/elements.js";
 import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
+import { Review } from "./review.js";
 import { whatIs } from "../words/reasons.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
@@ -32,6 +33,7 @@ export class Report {
    */
   constructor(access, onCreated, onShown) {
     Object.assign(this, { access, onCreated, onShown, root: byId("report"), button: byId("report-continue"), dismissed: null });
+    this.review = new Review();
     this.forget();
     byId("report-close").addEventListener("click", () => this.close());
     this.button.addEventListener("click", () => this.#continue());
@@ -45,7 +47,7 @@ export class Report {
    * Show a session that is over, unless it is shown already or was closed by a person. One that a person chose stays until
    * it is closed.
    */
-  async open({ id }, isChosen = false) {
+  async open({ id }, isChosen = false, range = null) {
     if (!isChosen && (this.isChosen || id === this.id || id === this.dismissed)) return;
     this.forget();
     Object.assign(this, { id, isChosen });
@@ -53,6 +55,7 @@ export class Report {
       const [session, models] = await Promise.all([readSession(id), listModels(id, 1)]);
       if (id !== this.id) return;
       if (isOver(session)) this.#show(session, models.items[0] ?? null);
+      if (isOver(session) && isChosen) this.review.show(session, range);
     } catch {
       // It is asked for again with the next look.
       if (id === this.id) this.forget();
@@ -73,6 +76,7 @@ export class Report {
   forget() {
     Object.assign(this, { id: null, session: null, model: null, isBusy: false, isChosen: false });
     this.root.hidden = true;
+    this.review.forget();
     for (const name of ["report-heading", "report-when", "report-note", "report-outcome"]) setText(byId(name), "");
     byId("report-figures").replaceChildren();
     byId("report-holds").replaceChildren();
