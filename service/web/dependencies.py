@@ -125,7 +125,7 @@ async def json_body(request: Request) -> bytes:
 
 CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
 """Media types of an uploaded calibration; a form of another origin can send none of them."""
-MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom",)}
+MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom", "application/octet-stream")}
 
 
 async def require_json(request: Request) -> None:
@@ -220,7 +220,7 @@ Pages50 = Annotated[Paging, Depends(_paged(50))]
 Pages100 = Annotated[Paging, Depends(_paged(100))]
 Pages200 = Annotated[Paging, Depends(_paged(200))]
 OperatorName = Annotated[
-    Name,
+    Name | None,
     Query(
         description="The person who uploads: optional for a logged-in person; for a machine, the person it acts for",
         examples=["A. Physicist"],

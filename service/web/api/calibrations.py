@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query, Response
 
 from engine.calibration.formats import IMPORT_SCHEMA
 from engine.core.errors import CalibrationError
+from service.access.request.identity import NOT_GIVEN
 from service.core.conditional import etag_of
 from service.core.errors import BoundError, NotFoundError, OperatorMismatchError
 from service.core.schemas.base import Name
@@ -71,11 +72,11 @@ def upload_calibration(
     caller: dependencies.Caller,
     services: dependencies.AppServices,
     response: Response,
-    operator: dependencies.OperatorName = "",
+    operator: dependencies.OperatorName = None,
     idempotency_key: dependencies.IdempotencyKey = None,
 ) -> UploadedCalibration:
     """Validate and store a calibration; the same content again returns the stored one with 200."""
-    stored = services.calibrations.upload(body, caller.checked_actor(operator), idempotency_key)
+    stored = services.calibrations.upload(body, caller.checked_actor(operator or NOT_GIVEN), idempotency_key)
     if stored.is_replay:
         response.status_code = 200
     return stored.answer

@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 
+from service.access.request.identity import NOT_GIVEN
 from service.core.conditional import etag_of
 from service.core.errors import (
     BoundError,
@@ -48,7 +49,7 @@ FILE = {
             "One DICOM file (PS3.10) of RT Plan Storage or RT Ion Plan Storage, in implicit or explicit little endian, "
             "explicit big endian, or deflated. Only the content of the answer is stored."
         ),
-        "content": {"application/dicom": {"schema": {}}},
+        "content": {"application/dicom": {"schema": {}}, "application/octet-stream": {"schema": {}}},
     }
 }
 PatientFilter = Annotated[Name | None, Query(description="Only plans of this patient")]
@@ -61,11 +62,11 @@ def import_plan(
     caller: dependencies.Caller,
     services: dependencies.AppServices,
     response: Response,
-    operator: dependencies.OperatorName = "",
+    operator: dependencies.OperatorName = None,
     idempotency_key: dependencies.IdempotencyKey = None,
 ) -> Plan:
     """Import an RT Plan; the same plan again returns the stored one with 200."""
-    stored = services.plans.add(body, caller.checked_actor(operator), idempotency_key)
+    stored = services.plans.add(body, caller.checked_actor(operator or NOT_GIVEN), idempotency_key)
     if stored.is_replay:
         response.status_code = 200
     return stored.answer

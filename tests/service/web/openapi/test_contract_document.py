@@ -3,6 +3,7 @@
 import json
 import re
 
+from openapi_spec_validator import OpenAPIV31SpecValidator, validate
 from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT202012
 
@@ -186,3 +187,7 @@ def _is_bounded(kind, schema):
             return schema.get("additionalProperties") is False
         case _:
             return kind in NO_NUMBER
+
+
+def test_the_contract_is_valid_by_the_specification():
+    validate(json.loads((ROOT / "openapi" / "openapi.json").read_text()), cls=OpenAPIV31SpecValidator)
