@@ -119,6 +119,6 @@ def test_the_page_asks_for_its_words_once_and_before_it_shows_a_state(fake: Fake
     before = [url for url in own_tab.requests if "/lang/" in url]
     fake.sample = STATES["fault"]
     own_tab.sees("fault")
-    page.wait_for_function("document.querySelector('#gate-word').textContent === 'Fehler'")
+    page.wait_for_function("document.querySelector('#gate-word').textContent === 'Störung'")
     assert [url for url in own_tab.requests if "/lang/" in url] == before
     assert len(before) == 1 + len({"de", "en"})
