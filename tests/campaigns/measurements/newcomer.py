@@ -65,6 +65,7 @@ def _reference_percent(http: PeopleOverHttp) -> float:
 def _run(page: Page, http: PeopleOverHttp, hands: Hands) -> tuple[Newcomer, float, float]:
     """One run: what the newcomer did, the time to the first permitted beam [s], and the reference's place [%]."""
     newcomer, began_s = Newcomer(page, NEWCOMER, PASSWORD, hands), time.monotonic()
+    page.on("pageerror", lambda error: newcomer.wrong_turns.append(f"exception: {error}"))
     page.goto(f"http://127.0.0.1:{http.base_url.port}/")
     while not newcomer.gates():
         assert time.monotonic() - began_s < LIMIT_S, page.inner_text("body")

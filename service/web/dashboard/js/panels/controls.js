@@ -312,9 +312,9 @@ export class Controls {
   async #attempt(action, call) {
     const mine = (this.busy = Symbol(action));
     this.busyAction = action;
-    this.say("busy", tr("controls.sending"));
-    this.update(this.context);
     try {
+      this.say("busy", tr("controls.sending"));
+      this.update(this.context);
       await call();
       const isDisarmed = this.context.sample?.is_armed !== true;
       if (this.busy === mine) this.say("done", action === "release" && isDisarmed ? tr("controls.released") : DONE[action], action);
