@@ -146,6 +146,8 @@ class World:
             return {"login_id": self._login_of(headers)}
         if operation in {"read_qa_run", "read_qa_report"}:
             return {"run_id": self.known["finished_run_id"]}
+        if "report" in operation:
+            return {"session_id": self.known["ended_session_id"]}
         return self.known
 
     def body(self, operation: str, body: object) -> object:
@@ -205,6 +207,7 @@ class World:
         eventually(lambda: len(self.send("GET", models).json()["items"]) == 1)
         self.known["model_id"] = self.send("GET", models).json()["items"][0]["id"]
         self._end_session()
+        self.known["ended_session_id"] = self.known["session_id"]
         plan = self.send("POST", f"{V1}/plans", written(photon_plan()), **{"Content-Type": "application/dicom"})
         self.known["plan_id"] = plan.json()["id"]
         self.known["finished_run_id"] = self._begin_qa_run()

@@ -24,7 +24,7 @@ PLACEHOLDER = re.compile(r"(\{\w+\})")
 NAMES = {
     *("Tidegate", "Linac", "Therapist", "Physicist", "Nurse", "Grace", "PLAN", "LUNG", "GATED", "LIVER", "BREAST"),
     *("DIBH", "RIGHT", "Xtion", "UTC", "Nov", "min", "demo", "recording", "oni", "planning"),
-    *("Record", "and", "verify", "plan", "abcdef"),
+    *("Record", "and", "verify", "plan", "abcdef", "PDF", "HTML", "CSV", "Arrow", "Parquet"),
 }
 """Names of people, patients, plans, devices, files, roles' codes, keys of the keyboard, languages."""
 
