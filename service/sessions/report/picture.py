@@ -1,6 +1,6 @@
 """The trace of a whole session as SVG: least and most of the gated signal in each column, and when the beam was on."""
 
-from xml.sax.saxutils import escape
+from html import escape
 
 import numpy as np
 import numpy.typing as npt
