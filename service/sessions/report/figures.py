@@ -1,4 +1,4 @@
-"""Figures of a session's report, computed from its samples alone: whoever has the export can compute them again."""
+"""Figures of a session's report, computed from its samples alone: the export is enough to compute them again."""
 
 from collections import Counter
 from collections.abc import Iterable

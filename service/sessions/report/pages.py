@@ -155,12 +155,12 @@ def _motion(report: SessionReport) -> Iterator[list[str]]:
 
 
 def _breathing(report: SessionReport) -> Iterator[list[str]]:
-    figures = report.figures
+    figures, unit = report.figures, "l" if report.session.window.signal == "volume" else "mm"
     yield ["period, median (5 to 95 %)", _range(figures.period_s, "s")]
-    yield ["amplitude, median (5 to 95 %)", _range(figures.amplitude, "mm")]
+    yield ["amplitude, median (5 to 95 %)", _range(figures.amplitude, unit)]
     first, last = figures.baseline_first, figures.baseline_last
     known = [_signed(one) for one in (first, last) if one is not None]
-    yield ["end of exhale, first to last 30 s", f"{' to '.join(known)} mm" if known else NONE]
+    yield ["end of exhale, first to last 30 s", f"{' to '.join(known)} {unit}" if known else NONE]
 
 
 def _holds(report: SessionReport) -> Iterator[list[str]]:

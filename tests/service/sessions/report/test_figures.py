@@ -1,9 +1,12 @@
 """Figures of a report from samples that were made up: what each is of, and what is left out."""
 
+from types import SimpleNamespace
+
 import pyarrow as pa
 import pytest
 
 from service.sessions.report.figures import read_columns, report_figures
+from service.sessions.report.pages import _breathing
 from service.sessions.report.picture import COLUMNS, trace_svg
 from service.storage.samples.layout import SampleHead
 
@@ -79,3 +82,12 @@ def test_a_long_trace_is_drawn_by_the_least_and_the_most_of_each_column():
     assert picture.count("V") == COLUMNS
     tops = {one.partition("V")[2] for one in picture.partition('d="')[2].partition('"')[0].split(" M")}
     assert len(tops) == 2, "one column reaches up to the spike"
+
+
+@pytest.mark.parametrize(("signal", "unit"), [("volume", "l"), ("whole", "mm")])
+def test_breathing_is_in_the_unit_of_the_gated_signal(signal, unit):
+    found = figures(rows(["hold"] * 3, breath_amplitude=0.5, breath_baseline=0.1))
+    window = SimpleNamespace(signal=signal)
+    stated = dict(_breathing(SimpleNamespace(session=SimpleNamespace(window=window), figures=found)))
+    assert stated["amplitude, median (5 to 95 %)"] == f"0.50 (0.50 to 0.50) {unit}"
+    assert stated["end of exhale, first to last 30 s"] == f"+0.10 to +0.10 {unit}"
