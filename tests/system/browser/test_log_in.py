@@ -1,9 +1,10 @@
 """Logging in and out: the page claims nothing that it may not see, and says at once when it may not any more."""
 
+import json
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from service.core.permissions import Role
 from tests.support.browser.arming import press_arm
@@ -323,8 +324,14 @@ def test_a_lost_connection_is_no_lost_log_in(fake: FakeService, tab: Tab):
 def test_less_that_one_may_do_shows_as_soon_as_a_call_is_refused(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    fake.person = person("A. Therapist", Role.VIEWER)
-    fake.problem = (403, {"code": "forbidden", "detail": "gate.arm is needed"})
+    problem = {"code": "forbidden", "detail": "gate.arm is needed"}
+
+    def refuse(route: Route) -> None:
+        # Not before: the page also reads the log-in by itself, for example when its tab comes to the front.
+        fake.person = person("A. Therapist", Role.VIEWER)
+        route.fulfill(status=403, content_type="application/problem+json", body=json.dumps(problem))
+
+    page.route("**/api/v1/sessions/*/arm", refuse)
     press_arm(page)
     expect(page.locator("#outcome")).to_have_text("Arm: gate.arm is needed")
     expect(page.locator("#person-roles")).to_have_text("viewer")
