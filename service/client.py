@@ -65,6 +65,14 @@ class AcknowledgeRequest(TypedDict):
     operator: NotRequired[str]
 
 
+class SentenceParts(TypedDict):
+    """What a sentence was made from."""
+
+    template: str
+    text: str
+    values: dict[str, str]
+
+
 class LiveAlarm(TypedDict):
     """An active alarm of a session; priorities are those of IEC 60601-1-8."""
 
@@ -75,6 +83,7 @@ class LiveAlarm(TypedDict):
     latches: bool
     number: int
     priority: Literal["high", "medium", "low"]
+    sentences: NotRequired[list[SentenceParts]]
     session_id: str
     since: str
     text: str
@@ -240,6 +249,7 @@ class ArmingSummary(TypedDict):
     items: list[ArmingItem]
     needs_reason: bool
     predicted_duty_percent: float | None
+    sentences: NotRequired[list[SentenceParts]]
     session_id: str
     state: str
     window: Window
@@ -1222,6 +1232,7 @@ class Sample(TypedDict):
     residual_mm: float | None
     roi_px: list[list[float]] | None
     sent_at: str
+    sentences: NotRequired[list[SentenceParts]]
     sequence: int
     session_id: str
     session_status: Literal["running", "ended", "stopped", "failed"]

@@ -14,6 +14,7 @@ from typing import TypeAlias
 from engine.core.bounds import check_number
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.replacing import replace
+from engine.core.sentences import say
 
 AFTER_PERMIT_BOUNDS_MS = (20.0, 1000.0)
 AFTER_PERMIT_MS = 250.0
@@ -149,12 +150,16 @@ class BeamOnComparison:
         if not is_on:
             self.violation = None
         elif self.violation is None and ended_ns is None:
-            self.violation = "the accelerator reports beam on, and nothing was permitted"
+            self.violation = say("the accelerator reports beam on, and nothing was permitted")
         elif self.violation is None and ended_ns is not None:
             over_ms = (now_ns - ended_ns) / NS_PER_MS
             if over_ms > self._after_permit_ms:
-                bound = f"at most {self._after_permit_ms:g} ms are allowed"
-                self.violation = f"the accelerator reports beam on {over_ms:.0f} ms after the permit ended: {bound}"
+                bound = say("at most {after_permit_ms:g} ms are allowed", after_permit_ms=self._after_permit_ms)
+                self.violation = say(
+                    "the accelerator reports beam on {over_ms:.0f} ms after the permit ended: {bound}",
+                    over_ms=over_ms,
+                    bound=bound,
+                )
 
     def _note_off(self, ended_ns: int | None, now_ns: int) -> None:
         if ended_ns is None:

@@ -5,6 +5,7 @@ import contextlib
 from engine.beam.line import BeamLine, TroubleListener, ignore_trouble
 from engine.core.errors import BeamLineMismatchError
 from engine.core.gate_state import HoldReason, Lease
+from engine.core.sentences import say
 
 
 class PairedBeamLine:
@@ -70,7 +71,7 @@ class PairedBeamLine:
             raise
         self.hold(HoldReason.BEAM_LINE_MISMATCH)
         on, off = ("first", "second") if first_on else ("second", "first")
-        msg = f"the two beam lines disagree: the {on} reads on, the {off} off"
+        msg = say("the two beam lines disagree: the {on} reads on, the {off} off", on=on, off=off)
         raise BeamLineMismatchError(msg)
 
     @property

@@ -17,11 +17,12 @@ from engine.control.roles import Learner
 from engine.control.session_limits import SessionLimits
 from engine.core.commands import Arm, Countersign
 from engine.core.errors import CountersignatureError
+from engine.core.sentences import say
 from engine.core.signals import Ranges, ranges_of
 from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left
 from engine.gating.windows import GateWindow, Join, JoinedWindow
 
-OTHER_STATE = "window, reference, model or head direction is another than the one that was looked at: look again"
+OTHER_STATE = say("window, reference, model or head direction is another than the one that was looked at: look again")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +62,7 @@ class Countersignature:
             Nothing is to be countersigned, or it is another state by now.
         """
         if not self.is_required:
-            raise CountersignatureError("nothing is to be countersigned: the next arming needs no second person")
+            raise CountersignatureError(say("nothing is to be countersigned: the next arming needs no second person"))
         if command.seen != arming_state:
             raise CountersignatureError(OTHER_STATE)
         self._operator, self._state = command.operator, arming_state
@@ -75,10 +76,12 @@ class Countersignature:
         if not found.is_required:
             return
         if found.signed_by is None:
-            raise CountersignatureError("a second person has to countersign the reference and the window first")
+            raise CountersignatureError(say("a second person has to countersign the reference and the window first"))
         if found.signed_by == (command.operator if command.is_person else reference_by):
-            what = "arm" if command.is_person else "set the reference"
-            raise CountersignatureError(f"{found.signed_by} has countersigned: another person has to {what}")
+            what = say("arm") if command.is_person else say("set the reference")
+            raise CountersignatureError(
+                say("{signed_by} has countersigned: another person has to {what}", signed_by=found.signed_by, what=what)
+            )
 
 
 class DutyForecast:

@@ -16,6 +16,7 @@ from engine.core.errors import BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.gating.gate import Gate, Interruption, lease_of
 from engine.gating.limits import GateLimits
 
@@ -123,17 +124,19 @@ class BeamDriver:
         lease = lease_of(gate, decided_ns=decided_ns, sequence=self._sequence, limits=self._limits)
         now_ns = self._clock.now_ns()
         if lease is None or not lease.is_live(now_ns):
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the decision took longer than its lease"))
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the decision took longer than its lease")))
         if self._permitted is not None and not self._permitted.is_live(now_ns):
             # Decided in time, ordered too late: the line has gone off by itself, and may be on again after a dwell.
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line"))
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the lease before had lapsed in the line")))
         self._permitted = lease
         answer = self._line.permit(lease)
         if answer.error is None and (answer.is_on or answer.is_settling):
             return _report(answer, is_settling=not answer.is_on)
         if not lease.is_live(answer.at_ns):
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed before the line had answered"))
-        return self._hold_for(_trouble_of(answer, "the line is off, though permitted"))
+            return self._hold_for(
+                Interruption(HoldReason.FRAME_LATE, say("the lease lapsed before the line had answered"))
+            )
+        return self._hold_for(_trouble_of(answer, say("the line is off, though permitted")))
 
     def _hold_for(self, trouble: Interruption) -> LineReport:
         report = self._hold(trouble.reason)

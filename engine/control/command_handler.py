@@ -35,6 +35,7 @@ from engine.core.commands import (
 from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError, ReasonMissingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference import ReferenceMoment
+from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
@@ -81,7 +82,7 @@ NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
 
 
-NOT_WHAT_WAS_SEEN = f"{OTHER_STATE}, then arm"
+NOT_WHAT_WAS_SEEN = say("{advice}, then arm", advice=OTHER_STATE)
 
 
 class _Level(NamedTuple):
@@ -143,7 +144,7 @@ class CommandHandler:
         ranges = self._learner.learned_ranges(command.window.choices)
         self._controller.refuse_window_while_armed()
         if self._limits.current.needs_countersignature and not command.reason.strip():
-            raise ReasonMissingError("another window for a patient needs a written reason at this site")
+            raise ReasonMissingError(say("another window for a patient needs a written reason at this site"))
         self._budget.check_window(self._limits.changed(command, ranges).limits.window, command)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
@@ -161,7 +162,7 @@ class CommandHandler:
             case ApplyModel():
                 self._apply_model(command)
             case ActivateModel():
-                self._disarm_for("another model is activated", command.operator)
+                self._disarm_for(say("another model is activated"), command.operator)
                 self._learner.activate(command.model)
 
     def _set_reference(self, command: SetReference) -> None:
@@ -171,7 +172,7 @@ class CommandHandler:
             self._refuse_other_move(command)
             self._refuse_other_level(command)
             most_mm = self._budget.checked_mm(command)
-        self._disarm_for("the reference is set", command.operator)
+        self._disarm_for(say("the reference is set"), command.operator)
         self._learner.set_reference(command.moment, most_mm=most_mm)
         self._reference_by = command.operator
         self._limits.clear_correction()
@@ -185,11 +186,11 @@ class CommandHandler:
         if abs(now_mm - seen_mm) <= MOVE_TOLERANCE_MM:
             return
         if moved is None:
-            raise CommandRefusedError("no movement of couch or camera is seen by now: look again")
-        what = f"{moved.mover.text} has moved by {moved.by_mm:.1f} mm since the reference"
+            raise CommandRefusedError(say("no movement of couch or camera is seen by now: look again"))
+        what = say("{text} has moved by {by_mm:.1f} mm since the reference", text=moved.mover.text, by_mm=moved.by_mm)
         if command.move_seen_mm is None:
-            raise CommandRefusedError(f"{what}: confirm it with move_seen_mm")
-        raise CommandRefusedError(f"{what}, not {seen_mm:.1f} mm: look again")
+            raise CommandRefusedError(say("{what}: confirm it with move_seen_mm", what=what))
+        raise CommandRefusedError(say("{what}, not {seen_mm:.1f} mm: look again", what=what, seen_mm=seen_mm))
 
     def _refuse_other_level(self, command: SetReference) -> None:
         """Refuse a level that was not the one displayed, or that needs a reason and has none."""
@@ -198,16 +199,28 @@ class CommandHandler:
         if command.level_seen is not None and (
             found.level is None or abs(found.level - command.level_seen) > LEVEL_TOLERANCE_MM * choice.per_mm
         ):
-            now = "not known" if found.level is None else f"{found.level:.2f} {choice.unit}"
-            raise CommandRefusedError(f"the level is {now} by now, not {command.level_seen:g}: look again")
+            now = (
+                say("not known")
+                if found.level is None
+                else say("{level:.2f} {unit}", level=found.level, unit=choice.unit)
+            )
+            raise CommandRefusedError(
+                say("the level is {now} by now, not {level_seen:g}: look again", now=now, level_seen=command.level_seen)
+            )
         is_amplitude = any(isinstance(leaf, AmplitudeWindow) for leaf in self._limits.prescribed_window.leaves)
         is_at_an_end = found.percent is not None and not NEAR_EXHALE < found.percent < NEAR_INHALE
         if not is_amplitude or is_at_an_end or command.reason:
             return
-        place = "an unknown place" if found.percent is None else f"{found.percent:.0f} %"
+        place = say("an unknown place") if found.percent is None else say("{percent:.0f} %", percent=found.percent)
         raise CommandRefusedError(
-            f"the level lies at {place} of the learned breath (0 % end of exhale, 100 % end of inhale): between "
-            f"{NEAR_EXHALE:g} and {NEAR_INHALE:g} %, and where it is unknown, an amplitude window needs a reason"
+            say(
+                "the level lies at {place} of the learned breath (0 % end of exhale, 100 % end of inhale): "
+                "between {near_exhale:g} and {near_inhale:g} %, and where it is unknown, "
+                "an amplitude window needs a reason",
+                place=place,
+                near_exhale=NEAR_EXHALE,
+                near_inhale=NEAR_INHALE,
+            )
         )
 
     def _level(self, moment: ReferenceMoment, choice: SignalChoice) -> "_Level":
@@ -216,15 +229,15 @@ class CommandHandler:
             proposals = self._learner.status.reference_proposals
             one = next((one for one in proposals if one.moment is moment), None)
             if one is None:
-                raise CommandRefusedError("fewer than two breaths are known: wait until the patient has breathed")
+                raise CommandRefusedError(say("fewer than two breaths are known: wait until the patient has breathed"))
             return _Level(one.level, one.percent)
         level, learned = self._controller.newest_level(choice), self._learner.learned_ranges((choice,)).get(choice)
         return _Level(level, None if level is None or learned is None else learned.percent(level))
 
     def _apply_model(self, command: ApplyModel) -> None:
         if not self._learner.status.is_model_waiting:
-            raise CommandRefusedError("no new model waits to be applied")
-        self._disarm_for("a new model is applied", command.operator)
+            raise CommandRefusedError(say("no new model waits to be applied"))
+        self._disarm_for(say("a new model is applied"), command.operator)
         self._learner.apply_model()
 
     def _disarm_for(self, detail: str, operator: str) -> None:
@@ -234,7 +247,12 @@ class CommandHandler:
         self._follower.has_changed()  # armed with what is present now
         self._follower.resolve_window()
         if inputs.operator_absence:
-            raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
+            raise CommandRefusedError(
+                say(
+                    "{operator_absence}: a person has to log in there, and keep it visible",
+                    operator_absence=inputs.operator_absence,
+                )
+            )
         self._refuse_unless_ready(inputs)
         if command.seen is not None and command.seen != self._outlook.state:
             raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
@@ -248,7 +266,7 @@ class CommandHandler:
             self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
-            raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
+            raise CommandRefusedError(say("a fault came up: {reason}", reason=self._controller.gate.reason))
         self._budget.note_armed()
 
     def _sign(self, command: Countersign | SignPosition) -> None:
@@ -261,7 +279,9 @@ class CommandHandler:
 
     def _countersign(self, command: Countersign) -> None:
         if not self._learner.status.has_reference or self._limits.is_window_unresolved:
-            raise CountersignatureError("there is no reference yet, or the window is still in per cent: set it first")
+            raise CountersignatureError(
+                say("there is no reference yet, or the window is still in per cent: set it first")
+            )
         self._outlook.countersignature.sign(command, self._outlook.state)
 
     def _refuse_unreasoned_way(self, command: Arm) -> None:
@@ -270,7 +290,9 @@ class CommandHandler:
             return
         if not command.is_person or not command.reason.strip():
             raise CommandRefusedError(
-                "the window joins conditions by or, each of which permits the beam: a person arms it, with a reason"
+                say(
+                    "the window joins conditions by or, each of which permits the beam: a person arms it, with a reason"
+                )
             )
 
     def _release(self, command: ReleaseBeam) -> None:
@@ -281,38 +303,59 @@ class CommandHandler:
     def _refuse_unless_ready(self, inputs: CommandInputs) -> None:
         gate = self._controller.gate
         if gate.state is GateState.FAULT:
-            raise CommandRefusedError(f"a fault is latched ({gate.reason}): acknowledge it first")
+            raise CommandRefusedError(say("a fault is latched ({reason}): acknowledge it first", reason=gate.reason))
         if gate.is_armed:
-            raise CommandRefusedError("the gate is armed already")
+            raise CommandRefusedError(say("the gate is armed already"))
         if self._learner.status.model is None:
-            raise CommandRefusedError("there is no motion model yet: wait for the training to end")
+            raise CommandRefusedError(say("there is no motion model yet: wait for the training to end"))
         if self._learner.status.model_shortcoming is not None:
             raise CommandRefusedError(self._learner.status.model_shortcoming)
         if not self._learner.status.has_reference:
-            raise CommandRefusedError("there is no reference yet: set it first")
+            raise CommandRefusedError(say("there is no reference yet: set it first"))
         if self._limits.is_window_unresolved:
-            raise CommandRefusedError("The window is in per cent, but this model has no breathing range. Train again.")
+            raise CommandRefusedError(
+                say("The window is in per cent, but this model has no breathing range. Train again.")
+            )
         self._sign_off.refuse_unsigned()
         self._limits.refuse_wide_window()
         if not inputs.is_watchdog_running:
-            raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
+            raise CommandRefusedError(say("the watchdog does not run: this engine cannot be armed"))
         self._controller.refuse_without_fresh_signal()
 
     def _refuse_other_head(self, command: Arm) -> None:
         """Refuse a head direction that is not the session's, and none where the window is on a part of the patient."""
         limits, confirmed = self._limits.current, command.head_direction
-        lies = "unknown" if limits.head_direction is None else f"at the {limits.head_direction} of the picture"
+        lies = (
+            say("unknown")
+            if limits.head_direction is None
+            else say("at the {head_direction} of the picture", head_direction=limits.head_direction)
+        )
         if confirmed is not None and confirmed is not limits.head_direction:
-            raise HeadDirectionError(f"the head is confirmed at the {confirmed}, and in this session it is {lies}")
+            raise HeadDirectionError(
+                say(
+                    "the head is confirmed at the {confirmed}, and in this session it is {lies}",
+                    confirmed=confirmed,
+                    lies=lies,
+                )
+            )
         if not limits.needs_head_direction or confirmed is not None:
             return
         if limits.head_direction is None:
-            raise HeadDirectionError(f"{HEAD_DIRECTION_UNKNOWN}: create the session with head_direction")
-        raise HeadDirectionError(f"the head is {lies}: see that it is, and confirm head_direction with the arming")
+            raise HeadDirectionError(
+                say(
+                    "{head_direction_unknown}: create the session with head_direction",
+                    head_direction_unknown=HEAD_DIRECTION_UNKNOWN,
+                )
+            )
+        raise HeadDirectionError(
+            say("the head is {lies}: see that it is, and confirm head_direction with the arming", lies=lies)
+        )
 
     def _acknowledge(self, command: Acknowledge, inputs: CommandInputs) -> None:
         if self._controller.gate.state is not GateState.FAULT:
-            raise CommandRefusedError("there is no fault to acknowledge")
+            raise CommandRefusedError(say("there is no fault to acknowledge"))
         if inputs.queue_trouble is not None:
-            raise CommandRefusedError(f"the fault persists ({inputs.queue_trouble}): nothing can be recorded")
+            raise CommandRefusedError(
+                say("the fault persists ({queue_trouble}): nothing can be recorded", queue_trouble=inputs.queue_trouble)
+            )
         self._controller.acknowledge(command)

@@ -29,6 +29,7 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
 from engine.gating.gate import Interruption
 
@@ -114,9 +115,9 @@ class CommandQueue:
             )
             cancelled = self._cancel(_CANCELS[type(command)])
             urgent = self._put_urgent(queued)
-        sentence = "disarmed" if isinstance(command, Disarm) else "the beam was held"
+        sentence = say("disarmed") if isinstance(command, Disarm) else say("the beam was held")
         for earlier in cancelled:  # outside the lock: an answer may call back into the caller
-            earlier.refuse(f"{sentence} before it was carried out")
+            earlier.refuse(say("{sentence} before it was carried out", sentence=sentence))
         return urgent.answer
 
     @property
@@ -136,7 +137,7 @@ class CommandQueue:
     def report(self, fault: Interruption) -> None:
         """Report a fault to the next decision; of several, the first one counts."""
         if not fault.reason.is_fault:
-            msg = f"{fault.reason} is no fault"
+            msg = say("{reason} is no fault", reason=fault.reason)
             raise ValueError(msg)
         with self._lock:
             self._report = self._report or fault
@@ -162,7 +163,8 @@ class CommandQueue:
         if silent_ns <= self._longest_silence_ns:
             return None
         return Interruption(
-            HoldReason.SERVICE_SILENT, f"nothing heard of the service for {silent_ns / NS_PER_MS:.0f} ms"
+            HoldReason.SERVICE_SILENT,
+            say("nothing heard of the service for {silent_ms:.0f} ms", silent_ms=silent_ns / NS_PER_MS),
         )
 
     def take(self) -> list[QueuedCommand]:
@@ -174,7 +176,7 @@ class CommandQueue:
         now_ns = self._clock.now_ns()
         for queued in commands:
             if now_ns - queued.submitted_ns > MAX_WAIT_NS:
-                queued.refuse("the engine was busy for too long: read the session, then retry")
+                queued.refuse(say("the engine was busy for too long: read the session, then retry"))
             else:
                 taken.append(queued)
         return taken
@@ -197,13 +199,13 @@ class CommandQueue:
         by = _CANCELLED_BY.get(type(queued.command))
         cancelled_ns = None if by is None else self._newest_submitted_ns.get(by)
         if cancelled_ns is not None and queued.submitted_ns < cancelled_ns:
-            what = "disarmed" if by is Disarm else "the beam was held"
-            msg = f"{what} after this command was sent: read the session, then retry"
+            what = say("disarmed") if by is Disarm else say("the beam was held")
+            msg = say("{what} after this command was sent: read the session, then retry", what=what)
             raise CommandRefusedError(msg)
 
     def _put(self, queued: QueuedCommand) -> None:
         if len(self._waiting) >= self._capacity:
-            msg = f"{self._capacity} commands wait already: try again in a moment"
+            msg = say("{capacity} commands wait already: try again in a moment", capacity=self._capacity)
             raise CommandRefusedError(msg)
         self._waiting.append(queued)
 

@@ -18,6 +18,7 @@ from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam,
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import LostReason, Measurement, MeasurementState, RoomChange
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.sentences import listed, say
 from engine.core.signals import Ranges, signal_of
 from engine.gating.active_window import SetWindow, window_text
 from engine.gating.frame_checks import captured_ns, too_slow
@@ -141,34 +142,38 @@ class GateController:
         The beam is on again after a full dwell at the earliest.
         """
         if not self._holds:
-            raise CommandRefusedError("no operator holds the beam")
+            raise CommandRefusedError(say("no operator holds the beam"))
         if command.operator in self._holds:
             del self._holds[command.operator]
         elif command.is_person:
             self._holds = {}
         else:
-            raise CommandRefusedError(f"held by {', '.join(self._holds)}: a program ends only its own hold")
+            raise CommandRefusedError(
+                say("held by {holds}: a program ends only its own hold", holds=listed(", ", self._holds))
+            )
         self.decide(command, cause=Cause(operator=command.operator))
 
     def correct_baseline(self, command: CorrectBaseline) -> None:
         """Disarm, then move the window; both windows are recorded even where the gate was not armed."""
         before, corrected = self._limits.current.window, self._limits.corrected(command.by)
-        change = f"the window was {window_text(before)} and is {window_text(corrected.window)}"
-        detail = f"the baseline is corrected by {command.by:g}: {change}"
+        change = say(
+            "the window was {before} and is {window}", before=window_text(before), window=window_text(corrected.window)
+        )
+        detail = say("the baseline is corrected by {by:g}: {change}", by=command.by, change=change)
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._limits.use(corrected)
 
     def refuse_window_while_armed(self) -> None:
         """Raise CommandRefusedError while the gate is armed."""
         if self.gate.is_armed:
-            raise CommandRefusedError("the gate is armed: disarm it before its window is set")
+            raise CommandRefusedError(say("the gate is armed: disarm it before its window is set"))
 
     def set_window(self, command: SetWindow, ranges: Ranges) -> None:
         """Gate by another window; refused while the gate is armed. Both windows are recorded."""
         self.refuse_window_while_armed()
         change = self._limits.changed(command, ranges)
         before, after = self._limits.current.window, change.limits.window
-        detail = f"the window was {window_text(before)} and is {window_text(after)}"
+        detail = say("the window was {before} and is {after}", before=window_text(before), after=window_text(after))
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._limits.use_change(change)
 
@@ -180,18 +185,20 @@ class GateController:
             raise CommandRefusedError(doubt.detail)
         age_ms = (self._clock.now_ns() - received_ns) / NS_PER_MS
         if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
-            raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+            raise CommandRefusedError(say("the newest frame is {age_ms:.0f} ms old: see to the camera", age_ms=age_ms))
 
     def refuse_without_signal(self) -> int:
         """Return when the newest frame was received [ns]; raise CommandRefusedError where it shows no gated motion."""
         measurement, last = self._records.newest_measurement, self.gate.last
         if measurement is None or last is None or measurement.state is not MeasurementState.MEASURING:
-            raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
+            raise CommandRefusedError(say("the newest frame was not measured: see that the patient is in view"))
         if not self._limits.is_signal_measured(measurement):
-            raise CommandRefusedError("the gated motion is not measured: choose a region inside the grid")
+            raise CommandRefusedError(say("the gated motion is not measured: choose a region inside the grid"))
         unseen = self._limits.unseen_signal(measurement)
         if unseen is not None:
-            raise CommandRefusedError(f"the camera does not see the gated motion ({unseen}): uncover it")
+            raise CommandRefusedError(
+                say("the camera does not see the gated motion ({unseen}): uncover it", unseen=unseen)
+            )
         return last.received_ns
 
     def refuse_unseen_patient(self) -> None:

@@ -25,6 +25,7 @@ from engine.core.learning_status import LearningStatus
 from engine.core.position_check import CameraView
 from engine.core.reference import ReferenceDistance
 from engine.core.replacing import replace
+from engine.core.sentences import listed, say
 from engine.core.signals import Ranges
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.limits import GateLimits
@@ -82,7 +83,7 @@ class LatencyStatistics:
         )
 
 
-BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
+BACK_DETAIL = say("it is back: acknowledge, set the reference, arm")
 """Added to the detail of a lost camera that delivers frames again."""
 
 
@@ -184,7 +185,7 @@ class LiveViews:
         gate = decision.gate
         self._newest_camera_view = None if gate.is_armed else self._camera_view(frame)
         is_back = gate.state is GateState.FAULT and gate.reason is HoldReason.SOURCE_LOST
-        detail = gate.detail + BACK_DETAIL if is_back else gate.detail
+        detail = listed("; ", (gate.detail, BACK_DETAIL)) if is_back else gate.detail
         self._show(decision, record, frame.color, detail)
 
     def show_without_frame(self, decision: Decision, *, is_on: bool) -> None:

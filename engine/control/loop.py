@@ -45,6 +45,7 @@ from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
 from engine.core.learning_status import LearningEvent
 from engine.core.position_check import CameraView
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.gating.gate import Ending, Gate, Interruption
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.supervision.operator_presence import OperatorPresence
@@ -204,7 +205,7 @@ class EngineLoop:
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             self._beam.hold(HoldReason.ENGINE_STOPPED)
-            self._commands.close("the engine hangs; the beam is held")
+            self._commands.close(say("the engine hangs; the beam is held"))
             with contextlib.suppress(Exception):
                 self._beam.close()  # a line with its own threads would run on beside the next session's
         return not self._thread.is_alive()
@@ -286,8 +287,8 @@ class EngineLoop:
     def _work(self) -> None:
         way_out = _WayOut(
             status=LoopStatus.FAILED,
-            event=Interruption(reason=HoldReason.ENGINE_FAILED, detail="the engine thread was ended"),
-            error="the engine thread was ended",
+            event=Interruption(reason=HoldReason.ENGINE_FAILED, detail=say("the engine thread was ended")),
+            error=say("the engine thread was ended"),
         )
         try:
             self._tap.begin()
@@ -319,7 +320,7 @@ class EngineLoop:
             self._decide_last(way_out)
         finally:
             self._tap.end()
-            self._commands.close("the session is over")
+            self._commands.close(say("the session is over"))
             self.on_turn()
             for close in (self._beam.close, self._source.close, self._watchdog.stop):
                 with contextlib.suppress(Exception):

@@ -16,6 +16,7 @@ from engine.core.clock import NS_PER_MS
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningEvent
 from engine.core.replacing import replace
+from engine.core.sentences import say
 
 T = TypeVar("T")
 
@@ -103,7 +104,9 @@ class OutputQueues:
             (HoldReason.RECORDER_BEHIND, None if sample is None else sample.asserted_ns),
         ):
             if since_ns is not None and now_ns - since_ns > longest_ns:
-                return reason, f"nothing was written for {(now_ns - since_ns) / NS_PER_MS:.0f} ms"
+                return reason, say(
+                    "nothing was written for {silent_ms:.0f} ms", silent_ms=(now_ns - since_ns) / NS_PER_MS
+                )
         return None
 
 

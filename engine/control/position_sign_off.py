@@ -19,6 +19,7 @@ from engine.core.frames import LostReason, Measurement, MeasurementState
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import PositionCheck, PositionTolerance
+from engine.core.sentences import listed, say
 from engine.gating.gate import Interruption
 
 
@@ -63,12 +64,12 @@ class PositionState:
 
 LONGEST_UNSEEN_S = 60.0
 """A patient who was not measured for longer may have been moved."""
-CAMERA_MOVED = "the camera moved"
-UNSEEN = f"the patient was not measured for more than {LONGEST_UNSEEN_S:g} s"
-NOT_SIGNED = "the patient's position was not compared with the plan's and signed"
-SET_AGAIN = "set the reference again, compare the position with the plan's, and sign it"
-NOT_ALLOWED = "beyond the tolerance only a person who may arm can sign, with a reason"
-NO_REASON = "a person who may arm has to give a reason, such as by which other means it was checked"
+CAMERA_MOVED = say("the camera moved")
+UNSEEN = say("the patient was not measured for more than {longest_unseen_s:g} s", longest_unseen_s=LONGEST_UNSEEN_S)
+NOT_SIGNED = say("the patient's position was not compared with the plan's and signed")
+SET_AGAIN = say("set the reference again, compare the position with the plan's, and sign it")
+NOT_ALLOWED = say("beyond the tolerance only a person who may arm can sign, with a reason")
+NO_REASON = say("a person who may arm has to give a reason, such as by which other means it was checked")
 
 
 class PositionSignOff:
@@ -114,15 +115,19 @@ class PositionSignOff:
         """
         learning = self._learner.status
         if not learning.is_position_required:
-            raise PositionUncheckedError("nothing is to be signed: no earlier fraction of the plan has a position")
+            raise PositionUncheckedError(say("nothing is to be signed: no earlier fraction of the plan has a position"))
         if not learning.has_reference:
-            raise PositionUncheckedError("there is no reference yet: set it, and look at its position")
+            raise PositionUncheckedError(say("there is no reference yet: set it, and look at its position"))
         if command.reference_number != learning.reference_number:
             raise PositionUncheckedError(
-                f"reference {learning.reference_number} is in use by now, not {command.reference_number}: look again"
+                say(
+                    "reference {reference_number} is in use by now, not {seen_number}: look again",
+                    reference_number=learning.reference_number,
+                    seen_number=command.reference_number,
+                )
             )
         if self._lapsed_number == learning.reference_number:
-            raise PositionUncheckedError(f"{self._lapse}: {SET_AGAIN}")
+            raise PositionUncheckedError(say("{lapse}: {set_again}", lapse=self._lapse, set_again=SET_AGAIN))
         self._refuse_beyond(command)
         self._signature = Signature(
             operator=command.operator, reference_number=command.reference_number, reason=command.reason.strip()
@@ -132,7 +137,7 @@ class PositionSignOff:
         """End the signature where a frame, or a hold of its supervision, shows that the patient or camera has moved."""
         moved = next((one for one in holds if one.reason is HoldReason.PATIENT_SHIFTED), None)
         if moved is not None:
-            self._end(f"the patient {moved.detail}")
+            self._end(say("the patient {detail}", detail=moved.detail))
         if measurement.lost is not None and measurement.lost.reason is LostReason.CAMERA_MOVED:
             self._end(CAMERA_MOVED)
         if measurement.state is MeasurementState.MEASURING or self._seen_ns is None:
@@ -151,7 +156,9 @@ class PositionSignOff:
         """Raise PositionUncheckedError where the position has to be signed and is not."""
         found = self.interruption()
         if found is not None:
-            raise PositionUncheckedError(f"{found.detail}: {SET_AGAIN if self._lapse else 'sign it first'}")
+            raise PositionUncheckedError(
+                say("{found}: {advice}", found=found.detail, advice=SET_AGAIN if self._lapse else say("sign it first"))
+            )
 
     def _end(self, why: str) -> None:
         """End the signature of the reference in use, and refuse another one."""
@@ -167,16 +174,23 @@ class PositionSignOff:
 
     def _text(self, learning: LearningStatus) -> str:
         if self._lapsed_number == learning.reference_number:
-            return f"the signature of the position ended: {self._lapse}"
+            return say("the signature of the position ended: {lapse}", lapse=self._lapse)
         return NOT_SIGNED
 
     def _refuse_beyond(self, command: SignPosition) -> None:
         check = self._learner.status.position_check
-        shortcomings = ("it was not compared",) if check is None else self.tolerance.shortcomings(check)
+        shortcomings = (say("it was not compared"),) if check is None else self.tolerance.shortcomings(check)
         if not shortcomings or (command.may_exceed and command.reason.strip()):
             return
-        limits = f"{self.tolerance.shift_mm:g} mm and {self.tolerance.turn_deg:g} deg"
+        limits = say(
+            "{shift_mm:g} mm and {turn_deg:g} deg", shift_mm=self.tolerance.shift_mm, turn_deg=self.tolerance.turn_deg
+        )
         advice = NO_REASON if command.may_exceed else NOT_ALLOWED
         raise PositionUncheckedError(
-            f"the position is not within {limits} of the plan's ({', '.join(shortcomings)}): {advice}"
+            say(
+                "the position is not within {limits} of the plan's ({shortcomings}): {advice}",
+                limits=limits,
+                shortcomings=listed(", ", shortcomings),
+                advice=advice,
+            )
         )

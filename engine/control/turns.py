@@ -15,6 +15,7 @@ from engine.core.clock import NS_PER_S
 from engine.core.errors import SourceLostError, TidegateError
 from engine.core.frames import Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.gating.gate import Ending, GateEvent, Interruption, Silence
 from engine.gating.supervision.supervisor import FrameSupervisor
 
@@ -116,7 +117,7 @@ class TurnRunner:
             events.append(Ending(reason=HoldReason.DISARMED))
         self._follower.resolve_window()
         if not _is_of(measurement, frame):
-            events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
+            events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail=say("a measurement of another frame")))
         events.append(measurement.as_gated)
         if self._learner.status.model is None:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
@@ -132,7 +133,10 @@ class TurnRunner:
     def _decide_without_frame(self, timed_out_ns: int, opened_ns: int) -> None:
         self._controller.decide(Silence(since_ns=opened_ns))
         if self._controller.gate.last is None and timed_out_ns - opened_ns > FIRST_FRAME_NS:
-            msg = f"the source was opened, and showed nothing for {FIRST_FRAME_NS // NS_PER_S} s"
+            msg = say(
+                "the source was opened, and showed nothing for {waited_s} s",
+                waited_s=FIRST_FRAME_NS // NS_PER_S,
+            )
             raise SourceLostError(msg)
 
 

@@ -7,6 +7,7 @@ import enum
 from dataclasses import dataclass
 
 from engine.core.errors import InvalidValueError
+from engine.core.sentences import say
 
 LITRES_PER_MM = 0.1
 """Volume that counts as a millimetre where a bound is given in mm: a region of 350 mm by 300 mm that rises by 1 mm."""
@@ -77,7 +78,7 @@ class SignalChoice:
         """Name of the signal, for display."""
         if self.signal in {GateSignal.REGION, GateSignal.POINT}:
             return f"{self.signal} {self.row},{self.column}"
-        return self.name or str(self.signal)
+        return self.name or self.signal
 
 
 WHOLE = SignalChoice()
@@ -139,7 +140,7 @@ class Breath:
     signal: SignalChoice = WHOLE
     phase_percent: float | None = None
     phase_confidence: float = 0.0
-    note: str = "too little seen yet"
+    note: str = say("too little seen yet")
     rate_per_min: float | None = None
     rate_confidence: float = 0.0
     amplitude: float | None = None

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from engine.core.breath import Breath
 from engine.core.replacing import replace
+from engine.core.sentences import say
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -111,7 +112,11 @@ class Mover(enum.StrEnum):
     @property
     def text(self) -> str:
         """The words for a person."""
-        return "camera or couch" if self is Mover.EITHER else f"the {self.value}"
+        return {
+            Mover.EITHER: say("camera or couch"),
+            Mover.COUCH: say("the couch"),
+            Mover.CAMERA: say("the camera"),
+        }[self]
 
 
 class RoomChange(NamedTuple):

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from engine.core.sentences import say, word
+
 SHIFTS = ("lateral", "longitudinal", "vertical")
 TURNS = ("pitch", "roll", "yaw")
 CERTAINTY = 2.0
@@ -58,14 +60,16 @@ class PositionTolerance(NamedTuple):
     def shortcomings(self, check: "PositionCheck") -> tuple[str, ...]:
         """Return what keeps a position from being within the tolerance, each as a part of a sentence; empty if none."""
         if check.unknown:
-            return (f"it is not known ({check.unknown})",)
+            return (say("it is not known ({unknown})", unknown=check.unknown),)
         found = [
-            f"{one.name} {one.value:+.1f} {one.unit}" if self.determines(one) else f"{one.name} not determined"
+            say("{name} {value:+.1f} {unit}", name=word(one.name), value=one.value, unit=one.unit)
+            if self.determines(one)
+            else say("{name} not determined", name=word(one.name))
             for one in check.degrees
             if not self.holds(one)
         ]
         if not check.shape_mm <= self.shape_mm:
-            found.append(f"shape {check.shape_mm:.1f} mm")
+            found.append(say("shape {shape_mm:.1f} mm", shape_mm=check.shape_mm))
         return tuple(found)
 
 

@@ -16,6 +16,7 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.position_check import PositionCheck
+from engine.core.sentences import listed, say
 from engine.core.strict_json import ROOT, StrictJson
 
 
@@ -96,12 +97,30 @@ class ReferenceDistance:
     def text(self) -> str:
         """The distance as a part of a sentence."""
         if self.distance_mm is None:
-            return f"at an unknown distance from the fraction's first ({self.unknown or 'not all of it was measured'})"
-        levels = "".join(f", {one.choice.label} {one.level:+.2f} {one.choice.unit}" for one in self.corrected_levels)
-        return (
-            f"{self.distance_mm:.2f} mm from the fraction's first (shift {self.shift_mm:.1f} mm, height "
-            f"{self.height_mm:+.1f} mm, turn {self.turn_deg:.1f} deg, tilt {self.tilt_deg:.1f} deg, shape "
-            f"{self.shape_mm:.1f} mm{levels})"
+            return say(
+                "at an unknown distance from the fraction's first ({unknown})",
+                unknown=self.unknown or say("not all of it was measured"),
+            )
+        levels = listed(
+            ", ",
+            (
+                say("{label} {level:+.2f} {unit}", label=one.choice.label, level=one.level, unit=one.choice.unit)
+                for one in self.corrected_levels
+            ),
+        )
+        of_surface = say(
+            "shift {shift_mm:.1f} mm, height {height_mm:+.1f} mm, turn {turn_deg:.1f} deg, tilt {tilt_deg:.1f} deg, "
+            "shape {shape_mm:.1f} mm",
+            shift_mm=self.shift_mm,
+            height_mm=self.height_mm,
+            turn_deg=self.turn_deg,
+            tilt_deg=self.tilt_deg,
+            shape_mm=self.shape_mm,
+        )
+        return say(
+            "{distance_mm:.2f} mm from the fraction's first ({parts})",
+            distance_mm=self.distance_mm,
+            parts=listed(", ", (of_surface, levels)),
         )
 
 

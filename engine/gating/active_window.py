@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.core.errors import CommandRefusedError, InvalidValueError
+from engine.core.sentences import listed, say
 from engine.core.signals import LearnedLevels, Ranges, ranges_of
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
@@ -106,7 +107,7 @@ def refuse_wide(window: GateWindow, limits: GateLimits) -> None:
 
 def window_text(window: GateWindow) -> str:
     """Return a window's edges as text, for the audit."""
-    return ", ".join(_leaf_text(leaf) for leaf in window.leaves)
+    return listed(", ", map(_leaf_text, window.leaves))
 
 
 def _edges_of(leaf: Condition) -> AmplitudeWindow | None:
@@ -120,16 +121,27 @@ def _edges_of(leaf: Condition) -> AmplitudeWindow | None:
 
 def _leaf_text(leaf: Condition) -> str:
     if isinstance(leaf, PhaseWindow):
-        return f"{leaf.choice.label} {leaf.from_percent:g} to {leaf.to_percent:g} % of the breath"
+        return say(
+            "{label} {from_percent:g} to {to_percent:g} % of the breath",
+            label=leaf.choice.label,
+            from_percent=leaf.from_percent,
+            to_percent=leaf.to_percent,
+        )
     edges = leaf.level if isinstance(leaf, BreathHoldWindow) else leaf
-    return f"{edges.choice.label} {edges.lower:.4g} to {edges.upper:.4g} {edges.unit}"
+    return say(
+        "{label} {lower:.4g} to {upper:.4g} {unit}",
+        label=edges.choice.label,
+        lower=edges.lower,
+        upper=edges.upper,
+        unit=edges.unit,
+    )
 
 
 PHASES = np.linspace(0.0, 100.0, 1_000, endpoint=False)
 INSPIRATION_FROM, EXPIRATION_TO = 60.0, 40.0
 """Lowest lower edge of an inspiration hold, and highest upper edge of an expiration hold [% of the learned breath]."""
 LAST_PERCENT = 100.0
-UNKNOWN = "How much of a breath lies in the window is not known for this model. Train again."
+UNKNOWN = say("How much of a breath lies in the window is not known for this model. Train again.")
 
 
 def is_predicted(window: GateWindow) -> bool:

@@ -13,6 +13,7 @@ from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import listed, say
 from engine.core.signals import is_wide, seen_share_of, signal_of
 from engine.gating.delivery import (
     MAX_RATE_ERROR_PPM,
@@ -25,7 +26,7 @@ from engine.gating.delivery import (
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 
-HEAD_DIRECTION_UNKNOWN = "only the whole region and its volume may gate without the head direction"
+HEAD_DIRECTION_UNKNOWN = say("only the whole region and its volume may gate without the head direction")
 MAX_JUMP_FRAMES = 5
 """Most frames that an allowed step counts for: a longer gap does not allow a larger step."""
 
@@ -144,7 +145,11 @@ def captured_ns(last: LastFrame, frame: Measurement, limits: GateLimits) -> int:
 
 def too_slow(latency_ms: float, limits: GateLimits) -> str:
     """Return the text of a latency above its limit."""
-    return f"{latency_ms:.0f} ms since the camera took the frame, {limits.max_latency_ms:g} allowed"
+    return say(
+        "{latency_ms:.0f} ms since the camera took the frame, {max_latency_ms:g} allowed",
+        latency_ms=latency_ms,
+        max_latency_ms=limits.max_latency_ms,
+    )
 
 
 def _delivery(before: LastFrame | None, frame: Measurement) -> Delivery:
@@ -156,18 +161,24 @@ def _delivery(before: LastFrame | None, frame: Measurement) -> Delivery:
 def _refuse_disorder(last: LastFrame | None, frame: Measurement, now_ns: int) -> Verdict | None:
     """Refuse frames whose index or times do not increase, on the device or on the host."""
     if frame.missed_frames < 0:
-        return fault(HoldReason.VALUE_INVALID, f"{frame.missed_frames} missed frames")
+        return fault(HoldReason.VALUE_INVALID, say("{missed_frames} missed frames", missed_frames=frame.missed_frames))
     disorder = ""
     if frame.received_ns > now_ns:
-        disorder = f"received {frame.received_ns - now_ns} ns after now"
+        disorder = say("received {received_ns} ns after now", received_ns=frame.received_ns - now_ns)
     elif last is None:
         return None
     elif frame.frame_index <= last.index:
-        disorder = f"frame {frame.frame_index} after frame {last.index}"
+        disorder = say("frame {frame_index} after frame {index}", frame_index=frame.frame_index, index=last.index)
     elif frame.timestamp_us <= last.timestamp_us:
-        disorder = f"device time {frame.timestamp_us} us after {last.timestamp_us} us"
+        disorder = say(
+            "device time {timestamp_us} us after {last_us} us",
+            timestamp_us=frame.timestamp_us,
+            last_us=last.timestamp_us,
+        )
     elif frame.received_ns <= last.received_ns:
-        disorder = f"received {last.received_ns - frame.received_ns} ns before the last frame"
+        disorder = say(
+            "received {received_ns} ns before the last frame", received_ns=last.received_ns - frame.received_ns
+        )
     return fault(HoldReason.CLOCK_BACKWARDS, disorder) if disorder else None
 
 
@@ -179,7 +190,10 @@ def _refuse_clock_jump(last: LastFrame | None, frame: Measurement, limits: GateL
     ahead_ms = (device_ns - (frame.received_ns - last.received_ns)) / NS_PER_MS
     if ahead_ms <= limits.max_clock_jump_ms:
         return None
-    return fault(HoldReason.CLOCK_JUMPED, f"the camera's clock advanced {ahead_ms:.0f} ms more than the host's")
+    return fault(
+        HoldReason.CLOCK_JUMPED,
+        say("the camera's clock advanced {ahead_ms:.0f} ms more than the host's", ahead_ms=ahead_ms),
+    )
 
 
 def _refuse_clock_rate(delivery: Delivery, limits: GateLimits) -> Verdict | None:
@@ -187,23 +201,30 @@ def _refuse_clock_rate(delivery: Delivery, limits: GateLimits) -> Verdict | None
     error_ppm = delivery.rate.error_ppm
     if error_ppm is None or limits.is_played or abs(error_ppm) <= MAX_RATE_ERROR_PPM:
         return None
-    way = "faster" if error_ppm > 0.0 else "slower"
-    detail = f"the camera's clock runs {abs(error_ppm):.0f} ppm {way} than the host's, {MAX_RATE_ERROR_PPM:g} allowed"
+    way = say("faster") if error_ppm > 0.0 else say("slower")
+    detail = say(
+        "the camera's clock runs {error_ppm:.0f} ppm {way} than the host's, {max_rate_error_ppm:g} allowed",
+        error_ppm=abs(error_ppm),
+        way=way,
+        max_rate_error_ppm=MAX_RATE_ERROR_PPM,
+    )
     return fault(HoldReason.CLOCK_JUMPED, detail)
 
 
 def _refuse_late(delivery: Delivery, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
     age_ms = (now_ns - frame.received_ns) / NS_PER_MS
     if age_ms > limits.max_silence_ms:
-        return fault(HoldReason.FRAME_STALE, f"the newest frame is {age_ms:.0f} ms old")
+        return fault(HoldReason.FRAME_STALE, say("the newest frame is {age_ms:.0f} ms old", age_ms=age_ms))
     lag_ms = (lag_of(frame) - delivery.least_lag_ns) / NS_PER_MS
     latency_ms = limits.camera_latency_ms + (0.0 if limits.is_played else lag_ms) + age_ms
     if latency_ms > limits.max_latency_ms:
         return fault(HoldReason.LATENCY_HIGH, too_slow(latency_ms, limits))
     if age_ms > limits.max_frame_age_ms:
-        return unusable(HoldReason.FRAME_LATE, f"decided {age_ms:.0f} ms after it was received")
+        return unusable(HoldReason.FRAME_LATE, say("decided {age_ms:.0f} ms after it was received", age_ms=age_ms))
     if lag_ms > limits.max_lag_ms and not limits.is_played:
-        return unusable(HoldReason.FRAME_LATE, f"received {lag_ms:.0f} ms later than the fastest frame")
+        return unusable(
+            HoldReason.FRAME_LATE, say("received {lag_ms:.0f} ms later than the fastest frame", lag_ms=lag_ms)
+        )
     return None
 
 
@@ -213,27 +234,39 @@ def _refuse_unseen_age(delivery: Delivery, frame: Measurement, limits: GateLimit
         return None
     unseen_ms = unseen_ageing_ms(delivery, frame)
     if unseen_ms is None or delivery.fresh_ns is None:
-        return unusable(HoldReason.FRAME_LATE, "no frame is known to be fresh: frames may wait in the camera's driver")
+        return unusable(
+            HoldReason.FRAME_LATE, say("no frame is known to be fresh: frames may wait in the camera's driver")
+        )
     lag_ms = (lag_of(frame) - delivery.least_lag_ns) / NS_PER_MS
     if unseen_ms <= MAX_UNSEEN_MS and lag_ms + unseen_ms <= limits.max_lag_ms:
         return None
     since_s = (frame.received_ns - delivery.fresh_ns) / NS_PER_S
-    detail = f"{since_s:.1f} s since a frame that is known to be fresh: up to {lag_ms + unseen_ms:.0f} ms late"
+    detail = say(
+        "{since_s:.1f} s since a frame that is known to be fresh: up to {lag_ms:.0f} ms late",
+        since_s=since_s,
+        lag_ms=lag_ms + unseen_ms,
+    )
     return unusable(HoldReason.FRAME_LATE, detail)
 
 
 def _refuse_gap(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:
     if frame.missed_frames > 0:
-        return unusable(HoldReason.FRAME_MISSING, f"{frame.missed_frames} frames lost by the camera")
+        return unusable(
+            HoldReason.FRAME_MISSING,
+            say("{missed_frames} frames lost by the camera", missed_frames=frame.missed_frames),
+        )
     if last is None:
         return None
     if frame.frame_index != last.index + 1:
-        return unusable(HoldReason.FRAME_MISSING, f"frame {frame.frame_index} after frame {last.index}")
+        return unusable(
+            HoldReason.FRAME_MISSING,
+            say("frame {frame_index} after frame {index}", frame_index=frame.frame_index, index=last.index),
+        )
     device_ms = (frame.timestamp_us - last.timestamp_us) * NS_PER_US / NS_PER_MS
     host_ms = (frame.received_ns - last.received_ns) / NS_PER_MS
     gap_ms = max(device_ms, host_ms)
     if gap_ms > limits.max_gap_ms:
-        return unusable(HoldReason.FRAME_MISSING, f"{gap_ms:.0f} ms after the last frame")
+        return unusable(HoldReason.FRAME_MISSING, say("{gap_ms:.0f} ms after the last frame", gap_ms=gap_ms))
     return None
 
 
@@ -251,12 +284,12 @@ _REASON_OF_LOST = {
 
 def _judge_unmeasured(frame: Measurement) -> Verdict:
     if frame.state is MeasurementState.TRAINING:
-        return unusable(HoldReason.TRAINING, "the motion model is being trained")
+        return unusable(HoldReason.TRAINING, say("the motion model is being trained"))
     if frame.state is MeasurementState.LOST and frame.lost is not None:
         reason = _REASON_OF_LOST.get(frame.lost.reason, HoldReason.UNKNOWN)
         kind = EventKind.FAILURE if reason.is_fault else EventKind.UNUSABLE
         return Verdict(kind, reason, frame.lost.detail)
-    return fault(HoldReason.VALUE_INVALID, f"{frame.state} without a measurement")
+    return fault(HoldReason.VALUE_INVALID, say("{state} without a measurement", state=frame.state))
 
 
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
@@ -266,18 +299,18 @@ def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
         ("thorax", motion.thorax_mm),
         ("abdomen", motion.abdomen_mm),
         ("residual", fit.residual_mm),
-        ("valid share", fit.valid_share),
-        ("inlier share", fit.inlier_share),
+        (say("valid share"), fit.valid_share),
+        (say("inlier share"), fit.inlier_share),
     )
     gated = [choice for choice in limits.window.choices if not math.isfinite(signal_of(choice, motion))]
-    bad = [f"{choice.label} (gated)" for choice in gated]
+    bad: list[str] = [say("{label} (gated)", label=choice.label) for choice in gated]
     bad += [name for name, value in values if not math.isfinite(value)]
     if not all(map(math.isfinite, (*fit.beta.tolist(), *fit.coefficients.tolist()))):
         bad.append("coefficients")
     shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
     if fit.residual_mm < 0.0 or not shares_are:
         bad.append("fit")
-    return fault(HoldReason.VALUE_INVALID, f"not a number: {', '.join(bad)}") if bad else None
+    return fault(HoldReason.VALUE_INVALID, say("not a number: {bad}", bad=listed(", ", bad))) if bad else None
 
 
 def _refuse_unknown_part(limits: GateLimits) -> Verdict | None:
@@ -290,13 +323,25 @@ def _refuse_unknown_part(limits: GateLimits) -> Verdict | None:
 def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
     if not fit.valid_share >= limits.min_valid_share:
-        detail = f"{fit.valid_share:.2f} of the region visible, {limits.min_valid_share:.2f} needed"
+        detail = say(
+            "{valid_share:.2f} of the region visible, {min_valid_share:.2f} needed",
+            valid_share=fit.valid_share,
+            min_valid_share=limits.min_valid_share,
+        )
         return unusable(HoldReason.COVERAGE_LOW, detail)
     if not fit.inlier_share >= limits.min_inlier_share:
-        detail = f"{fit.inlier_share:.2f} of the visible region fits the model, {limits.min_inlier_share:.2f} needed"
+        detail = say(
+            "{inlier_share:.2f} of the visible region fits the model, {min_inlier_share:.2f} needed",
+            inlier_share=fit.inlier_share,
+            min_inlier_share=limits.min_inlier_share,
+        )
         return unusable(HoldReason.RESIDUAL_HIGH, detail)
     if not fit.residual_mm <= limits.max_residual_mm:
-        detail = f"residual {fit.residual_mm:.2f} mm, {limits.max_residual_mm:.2f} mm allowed"
+        detail = say(
+            "residual {residual_mm:.2f} mm, {max_residual_mm:.2f} mm allowed",
+            residual_mm=fit.residual_mm,
+            max_residual_mm=limits.max_residual_mm,
+        )
         return unusable(HoldReason.RESIDUAL_HIGH, detail)
     return None
 
@@ -310,14 +355,20 @@ def unseen_signal(seen: SeenShares, limits: GateLimits, when: str = "seen") -> s
         needed = limits.min_wide_share if is_wide(choice) else limits.min_signal_share
         share = seen_share_of(choice, seen)
         if not needed <= share <= 1.0:
-            return f"{choice.label}: {share:.2f} of its area {when}, {needed:.2f} needed"
+            return say(
+                "{label}: {share:.2f} of its area {when}, {needed:.2f} needed",
+                label=choice.label,
+                share=share,
+                when=when,
+                needed=needed,
+            )
     return None
 
 
 def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
     """Hold where any gated signal is not measurable, also one of a window whose other condition would be met."""
     detail = unseen_signal(motion.seen, limits) or unseen_signal(
-        motion.reference_seen, limits, "seen when the reference was set"
+        motion.reference_seen, limits, say("seen when the reference was set")
     )
     return None if detail is None else unusable(HoldReason.COVERAGE_LOW, detail)
 
@@ -335,7 +386,7 @@ def _refuse_jump(last: LastFrame | None, motion: Motion, limits: GateLimits) -> 
     signals_mm = _jump_signals_mm(motion, limits.window)
     step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
     if not step_mm <= limits.max_jump_mm * frames:
-        return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")
+        return unusable(HoldReason.JUMP, say("{step_mm:.1f} mm in {frames} frames", step_mm=step_mm, frames=frames))
     return None
 
 
@@ -344,7 +395,9 @@ def refuse_irregular(frame: Measurement, holding: frozenset[BreathEventKind]) ->
     for breath in frame.breaths:
         for event in breath.events:
             if event.kind in holding:
-                return unusable(HoldReason.BREATHING_IRREGULAR, f"{event.kind}: {event.detail}")
+                return unusable(
+                    HoldReason.BREATHING_IRREGULAR, say("{kind}: {detail}", kind=event.kind, detail=event.detail)
+                )
     return None
 
 
@@ -356,6 +409,12 @@ def refuse_rate(frame: Measurement, limits: GateLimits) -> Verdict | None:
         if rate is None or breath.signal not in limits.window.choices or breath.rate_confidence < SURE_RATE:
             continue
         if not low <= rate <= high:
-            detail = f"{breath.signal.label}: {rate:.0f} breaths a minute, {low:g} to {high:g} are gated"
+            detail = say(
+                "{label}: {rate:.0f} breaths a minute, {low:g} to {high:g} are gated",
+                label=breath.signal.label,
+                rate=rate,
+                low=low,
+                high=high,
+            )
             return unusable(HoldReason.BREATHING_IRREGULAR, detail)
     return None

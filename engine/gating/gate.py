@@ -15,6 +15,7 @@ from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
 from engine.gating.frame_checks import (
     EventKind,
@@ -269,14 +270,17 @@ def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdic
             return Verdict(EventKind.END, event.reason, event.detail)
     kind_of_command = _KIND_OF_COMMAND.get(type(event))
     if kind_of_command is None:
-        return fault(HoldReason.UNKNOWN, f"{type(event).__name__} is no event of the gate")
-    return Verdict(kind_of_command, detail=f"released by {event.operator}" if isinstance(event, ReleaseBeam) else "")
+        return fault(HoldReason.UNKNOWN, say("{name} is no event of the gate", name=type(event).__name__))
+    return Verdict(
+        kind_of_command,
+        detail=say("released by {operator}", operator=event.operator) if isinstance(event, ReleaseBeam) else "",
+    )
 
 
 def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:
     since_ns = event.since_ns if gate.last is None else gate.last.received_ns
     silent_ms = (now_ns - since_ns) / NS_PER_MS
-    detail = f"no frame for {silent_ms:.0f} ms"
+    detail = say("no frame for {silent_ms:.0f} ms", silent_ms=silent_ms)
     if gate.last is not None and silent_ms > limits.max_silence_ms:
         return Verdict(EventKind.FAILURE, HoldReason.FRAME_TIMEOUT, detail)
     return Verdict(EventKind.UNUSABLE, HoldReason.FRAME_MISSING, detail)
@@ -287,7 +291,7 @@ def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits
     if verdict is not None:
         return verdict
     if frame.motion is None:  # unreachable: a frame without motion does not pass the checks
-        return fault(HoldReason.VALUE_INVALID, "no motion")
+        return fault(HoldReason.VALUE_INVALID, say("no motion"))
     return _judge_window(gate, frame, frame.motion, now_ns, limits)
 
 
@@ -298,7 +302,10 @@ def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | Non
     late_ns = now_ns - gate.last.received_ns - ns_from_ms(limits.lease_ms)
     if late_ns < 0:
         return None
-    return unusable(HoldReason.FRAME_LATE, f"decided {late_ns / NS_PER_MS:.0f} ms after the line's lease had lapsed")
+    return unusable(
+        HoldReason.FRAME_LATE,
+        say("decided {late_ms:.0f} ms after the line's lease had lapsed", late_ms=late_ns / NS_PER_MS),
+    )
 
 
 def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:
@@ -323,9 +330,11 @@ def _on_too_long(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
     on_ns += _on_ns(gate, now_ns, limits)
     if allowed_ns is None or on_ns < allowed_ns:
         return None
-    detail = (
-        f"{on_ns / NS_PER_S:.0f} s of beam since the signal was outside of the window, {allowed_ns / NS_PER_S:.0f} "
-        "allowed: it has to leave the window first"
+    detail = say(
+        "{on_s:.0f} s of beam since the signal was outside of the window, {allowed_s:.0f} allowed: "
+        "it has to leave the window first",
+        on_s=on_ns / NS_PER_S,
+        allowed_s=allowed_ns / NS_PER_S,
     )
     return unusable(HoldReason.BEAM_ON_LIMIT, detail)
 
@@ -338,11 +347,17 @@ def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[Conditi
     if gate.off_since_ns is not None:
         off_ns = max(now_ns - gate.off_since_ns, 0)
     if off_ns < needed_ns:
-        detail = f"off for {off_ns / NS_PER_MS:.0f} of {limits.min_off_ms:g} ms"
+        detail = say(
+            "off for {off_ms:.0f} of {min_off_ms:g} ms", off_ms=off_ns / NS_PER_MS, min_off_ms=limits.min_off_ms
+        )
         return Verdict(EventKind.INSIDE, HoldReason.SHORTEST_OFF, detail, states)
     cycles = sum(now_ns - at_ns < CYCLES_WITHIN_NS for at_ns in gate.turned_on_ns)
     if cycles >= limits.max_cycles_per_min:
-        detail = f"{cycles} times on within a minute, {limits.max_cycles_per_min} allowed"
+        detail = say(
+            "{cycles} times on within a minute, {max_cycles_per_min} allowed",
+            cycles=cycles,
+            max_cycles_per_min=limits.max_cycles_per_min,
+        )
         return Verdict(EventKind.INSIDE, HoldReason.CYCLE_LIMIT, detail, states)
     return None
 

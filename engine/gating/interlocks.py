@@ -8,13 +8,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 
-WATCHDOG_DETAIL = "the engine did not decide in time"
-WATCHDOG_GONE = "the watchdog's thread has died"
-QUEUE_FULL = "a queue to the disk is full"
-NOT_CALIBRATED = "nothing was measured for this camera"
+WATCHDOG_DETAIL = say("the engine did not decide in time")
+WATCHDOG_GONE = say("the watchdog's thread has died")
+QUEUE_FULL = say("a queue to the disk is full")
+NOT_CALIBRATED = say("nothing was measured for this camera")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +102,12 @@ def _of_the_operator(inputs: DecisionInputs, holder: str | None) -> list[Interru
     if inputs.operator_absence:
         found.append(Interruption(HoldReason.OPERATOR_LOST, inputs.operator_absence))
     if inputs.disarm_requested_by is not None:
-        found.append(Interruption(HoldReason.DISARMED, f"{inputs.disarm_requested_by} disarms"))
+        found.append(
+            Interruption(
+                HoldReason.DISARMED,
+                say("{disarm_requested_by} disarms", disarm_requested_by=inputs.disarm_requested_by),
+            )
+        )
     if holder is not None:
-        found.append(Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}"))
+        found.append(Interruption(HoldReason.OPERATOR_HOLD, say("held by {holder}", holder=holder)))
     return found

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from engine.calibration.camera_calibration import Calibration
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, NODE_STEP, FloatArray, Lost, LostReason, Projection, RoiDepth
 from engine.core.motion_model import MotionModel
+from engine.core.sentences import say
 from engine.motion.cross_check.cell_surface import GatheredSurfaces
 from engine.motion.learning.prepared_model import PreparedModel, prepare_model
 from engine.motion.learning.tasks import LearningStages
@@ -66,7 +67,11 @@ def refusal(best: Projection, settings: PipelineSettings) -> Lost | None:
     if best.inlier_share < settings.min_inlier_share or not best.residual_mm <= settings.max_residual_mm:
         return Lost(
             reason=LostReason.RESIDUAL_HIGH,
-            detail=f"residual {best.residual_mm:.1f} mm, {best.inlier_share:.0%} of the pixels explained",
+            detail=say(
+                "residual {residual_mm:.1f} mm, {inlier_share:.0%} of the pixels explained",
+                residual_mm=best.residual_mm,
+                inlier_share=best.inlier_share,
+            ),
         )
     return None
 

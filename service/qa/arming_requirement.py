@@ -12,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.orm import Session
 
+from engine.core.sentences import say
 from engine.qa import QaKind, checks_of
 from service.core.errors import QaOverdueError
 from service.core.settings.names import setting_name
@@ -23,7 +24,7 @@ from service.storage.database.tables import QaRunRow
 KINDS = ("daily", "monthly", "annual")
 """Each kind includes the checks of the previous one, so each includes the daily QA."""
 
-ADVICE = "do a daily QA (tidegate qa daily)"
+ADVICE = say("do a daily QA (tidegate qa daily)")
 
 
 def refusal(db: Session, settings: Settings, now: datetime) -> str | None:
@@ -33,7 +34,9 @@ def refusal(db: Session, settings: Settings, now: datetime) -> str | None:
         return None
     newest = queries.newest_run(db, KINDS)
     if newest is None:
-        return f"this site asks for a QA every {hours:g} h, and none was ever done: {ADVICE}"
+        return say(
+            "this site asks for a QA every {hours:g} h, and none was ever done: {advice}", hours=hours, advice=ADVICE
+        )
     return (
         _unfit(db, newest)
         or _unfit_setting(newest, settings)
@@ -54,33 +57,56 @@ def refuse_without_qa(database: Database, settings: Settings) -> None:
 
 def _unfit(db: Session, newest: QaRunRow) -> str | None:
     outcome = queries.outcome_row(db, newest.id)
-    run_text = f"the newest QA ({newest.kind}, {_moment(newest.created_at)})"
+    run_text = say("the newest QA ({kind}, {created_at})", kind=newest.kind, created_at=_moment(newest.created_at))
     if outcome is None:
-        return f"{run_text} has not ended: wait for its end, or {ADVICE}"
+        return say("{run_text} has not ended: wait for its end, or {advice}", run_text=run_text, advice=ADVICE)
     if outcome.status != "finished" or outcome.verdict is None:
-        return f"{run_text} was not finished ({outcome.status}): {ADVICE}"
+        return say(
+            "{run_text} was not finished ({status}): {advice}", run_text=run_text, status=outcome.status, advice=ADVICE
+        )
     if outcome.verdict == "fail":
         failed = [row.code for row in queries.result_rows(db, newest.id) if row.verdict == "fail"]
-        return f"{run_text} failed ({', '.join(failed)}): find the cause, then {ADVICE}"
+        return say(
+            "{run_text} failed ({failed}): find the cause, then {advice}",
+            run_text=run_text,
+            failed=", ".join(failed),
+            advice=ADVICE,
+        )
     return None
 
 
 def _unfit_setting(newest: QaRunRow, settings: Settings) -> str | None:
     """Refuse a run on another beam line or with wider bounds: the command line may have other settings."""
-    run_text = f"the newest QA ({newest.kind}, {_moment(newest.created_at)})"
+    run_text = say("the newest QA ({kind}, {created_at})", kind=newest.kind, created_at=_moment(newest.created_at))
     place = json.loads(newest.request).get("beam_place")
     if place != settings.beam_place:
-        ours = f"this service's ({_named(settings.beam_place)})"
-        return f"{run_text} tested another beam line ({_named(place)}) than {ours}: {ADVICE}"
+        ours = say("this service's ({beam_place})", beam_place=_named(settings.beam_place))
+        return say(
+            "{run_text} tested another beam line ({place}) than {ours}: {advice}",
+            run_text=run_text,
+            place=_named(place),
+            ours=ours,
+            advice=ADVICE,
+        )
     bounds = json.loads(newest.bounds)
     daily = [check for check in checks_of(QaKind.DAILY) if not check.is_optional]
     missing = [check.code for check in daily if bounds and check.code not in bounds]
     if missing:
-        return f"{run_text} did not include {', '.join(missing)}, which the daily QA has now: {ADVICE}"
+        return say(
+            "{run_text} did not include {missing}, which the daily QA has now: {advice}",
+            run_text=run_text,
+            missing=", ".join(missing),
+            advice=ADVICE,
+        )
     wider = [code for code, bound in bounds.items() if not bound["fail"] <= settings.qa_bounds.of(code).fail]
     if wider or not bounds:
-        names = ", ".join(wider) or "none stored"
-        return f"{run_text} was judged with wider bounds than this service's ({names}): {ADVICE}"
+        names = ", ".join(wider) or say("none stored")
+        return say(
+            "{run_text} was judged with wider bounds than this service's ({names}): {advice}",
+            run_text=run_text,
+            names=names,
+            advice=ADVICE,
+        )
     return None
 
 
@@ -90,13 +116,22 @@ def _named(place: Mapping[str, object] | None) -> str:
 
 def _unfit_age(newest: QaRunRow, since: datetime, now: datetime, hours: float) -> str | None:
     age = now - since
-    run_text = f"the newest QA ({newest.kind}) is of {_moment(newest.created_at)}"
+    run_text = say("the newest QA ({kind}) is of {created_at}", kind=newest.kind, created_at=_moment(newest.created_at))
     if since < newest.created_at:
-        run_text = f"{run_text}, but its plate's recording was judged on {_moment(since)} already"
+        run_text = say(
+            "{run_text}, but its plate's recording was judged on {since} already",
+            run_text=run_text,
+            since=_moment(since),
+        )
     if age < timedelta(0):
-        return f"{run_text}, which is in the future: check this machine's clock"
+        return say("{run_text}, which is in the future: check this machine's clock", run_text=run_text)
     if age > timedelta(hours=hours):
-        return f"{run_text}, and this site requires one every {hours:g} h: {ADVICE}"
+        return say(
+            "{run_text}, and this site requires one every {hours:g} h: {advice}",
+            run_text=run_text,
+            hours=hours,
+            advice=ADVICE,
+        )
     return None
 
 

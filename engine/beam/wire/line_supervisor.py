@@ -12,6 +12,7 @@ from engine.core.bounds import check_numbers
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 
 CYCLE_MS = 20.0
 """Period of the exchanges with the line."""
@@ -210,14 +211,15 @@ class LineSupervisor:
             return None
         self._good_answers = 0
         if command == "off" and (not self.reads_on or self._answered_ns < since_ns):
-            detail = (
-                f"the beam line has not confirmed off within {self._times.follow_ns / NS_PER_MS:.0f} ms of the hold"
+            detail = say(
+                "the beam line has not confirmed off within {within_ms:.0f} ms of the hold",
+                within_ms=self._times.follow_ns / NS_PER_MS,
             )
             return Trouble(reason=HoldReason.BEAM_LINE_FAILED, detail=detail, at_ns=now_ns)
-        detail = f"the beam line reads back {reads} after the command {command}"
+        detail = say("the beam line reads back {reads} after the command {command}", reads=reads, command=command)
         return Trouble(reason=HoldReason.BEAM_LINE_MISMATCH, detail=detail, at_ns=now_ns)
 
     def _silence(self, waited_ns: int, now_ns: int) -> Trouble:
         self._good_answers = 0
-        detail = f"the beam line has not answered for {waited_ns / NS_PER_MS:.0f} ms"
+        detail = say("the beam line has not answered for {waited_ms:.0f} ms", waited_ms=waited_ns / NS_PER_MS)
         return Trouble(reason=HoldReason.BEAM_LINE_FAILED, detail=detail, at_ns=now_ns)

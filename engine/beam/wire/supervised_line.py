@@ -30,6 +30,7 @@ from engine.beam.wire.line_supervisor import (
 from engine.core.clock import NS_PER_MS, NS_PER_S, Clock
 from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import HoldReason, Lease
+from engine.core.sentences import say
 
 CYCLE_NS = int(CYCLE_MS * NS_PER_MS)
 RECONNECT_NS = NS_PER_S // 4
@@ -115,7 +116,7 @@ class WiredBeamLine:
             raise BeamLineError(msg) from error
         if reads_on or self._trouble is not None:
             self._drop()
-            mismatch = f"{self._wire.name} reads back on though nothing was permitted"
+            mismatch = say("{name} reads back on though nothing was permitted", name=self._wire.name)
             raise BeamLineMismatchError(mismatch) if reads_on else _error(self._trouble)
         self._is_open = True
         try:
@@ -163,7 +164,9 @@ class WiredBeamLine:
         if self._supervisor.is_silent(now_ns):
             self._latch(
                 Trouble(
-                    reason=HoldReason.BEAM_LINE_FAILED, detail="the exchanges with the line have stopped", at_ns=now_ns
+                    reason=HoldReason.BEAM_LINE_FAILED,
+                    detail=say("the exchanges with the line have stopped"),
+                    at_ns=now_ns,
                 )
             )
         trouble = self._trouble
@@ -316,7 +319,7 @@ class WiredBeamLine:
         now_ns = self._clock.now_ns()
         with self._lock:
             self._supervisor.failed(now_ns=now_ns)
-        text = f"{self._wire.name} does not answer: {detail}"
+        text = say("{name} does not answer: {detail}", name=self._wire.name, detail=detail)
         self._latch(Trouble(reason=HoldReason.BEAM_LINE_FAILED, detail=text, at_ns=now_ns))
         self._drop()
 
@@ -429,7 +432,11 @@ class WiredBeamLine:
 
 def _error(trouble: Trouble | None) -> BeamLineError:
     if trouble is None:
-        return BeamLineError(f"the beam line has given fewer than {GOOD_ANSWERS} good answers in a row yet")
+        return BeamLineError(
+            say(
+                "the beam line has given fewer than {good_answers} good answers in a row yet", good_answers=GOOD_ANSWERS
+            )
+        )
     is_mismatch = trouble.reason is HoldReason.BEAM_LINE_MISMATCH
     return (BeamLineMismatchError if is_mismatch else BeamLineError)(trouble.detail)
 

@@ -15,6 +15,7 @@ from engine.core.breath import Breath, SignalChoice
 from engine.core.clock import US_PER_S
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.core.signals import signal_of
 from engine.gating.frame_checks import MAX_JUMP_FRAMES
 from engine.gating.gate import Interruption
@@ -63,14 +64,15 @@ class Baseline:
         before_us, self._measured_us = self._measured_us, now_us
         if before_us is not None and not 0 <= now_us - before_us <= LONGEST_UNMEASURED_US:
             gap_s = abs(now_us - before_us) / US_PER_S
-            self._unknown_since_us, self._why_unknown = now_us, f"not measured for {gap_s:.1f} s"
+            self._unknown_since_us, self._why_unknown = now_us, say("not measured for {gap_s:.1f} s", gap_s=gap_s)
         levels = list(_levels(measurement, window, self._max_mm))
         self._note_jump(measurement.motion, measurement.frame_index, now_us, levels)
         if self._unknown_since_us is not None and levels:
             if not all(_is_known(one, measurement, self._unknown_since_us) for one in levels):
-                detail = (
-                    f"{self._why_unknown}, and the patient may lie elsewhere: an end of exhale has to be seen, or set "
-                    "the reference again"
+                detail = say(
+                    "{why_unknown}, and the patient may lie elsewhere: "
+                    "an end of exhale has to be seen, or set the reference again",
+                    why_unknown=self._why_unknown,
                 )
                 return Interruption(HoldReason.BASELINE_DRIFTED, detail)
             self._unknown_since_us = None
@@ -85,7 +87,10 @@ class Baseline:
         frames = min(max(frame_index - before[0], 1), MAX_JUMP_FRAMES)
         steps_mm = [abs(now - before[1][choice]) / choice.per_mm for choice, now in signals.items()]
         if not max(steps_mm, default=0.0) <= self._max_jump_mm * frames:
-            self._unknown_since_us, self._why_unknown = now_us, f"jumped by {max(steps_mm):.1f} mm"
+            self._unknown_since_us, self._why_unknown = (
+                now_us,
+                say("jumped by {step_mm:.1f} mm", step_mm=max(steps_mm)),
+            )
 
     def _drift(self, level: _Level) -> Interruption | None:
         choice, drift = level.choice, level.breath.exhale_drift
@@ -95,10 +100,15 @@ class Baseline:
         if abs(drift) <= allowed:
             self._drifted.pop(choice, None)
             return None
-        way = "towards" if drift > 0.0 else "away from"
-        detail = (
-            f"{choice.label}: the end of exhale is {abs(drift):.2g} {choice.unit} {way} the camera, {allowed:.2g} "
-            "allowed: correct the baseline, or set the reference again"
+        way = say("towards") if drift > 0.0 else say("away from")
+        detail = say(
+            "{label}: the end of exhale is {drift:.2g} {unit} {way} the camera, "
+            "{allowed:.2g} allowed: correct the baseline, or set the reference again",
+            label=choice.label,
+            drift=abs(drift),
+            unit=choice.unit,
+            way=way,
+            allowed=allowed,
         )
         self._drifted[choice] = Interruption(HoldReason.BASELINE_DRIFTED, detail)
         return self._drifted[choice]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from engine.core.clock import US_PER_S
 from engine.core.frames import Evidence, Measurement
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 
@@ -28,9 +29,9 @@ class Check(enum.StrEnum):
 
 
 SEES_TOO_LITTLE = {
-    Check.SURFACE: "too little of the region's surface is seen",
-    Check.COLOR: "too little of the region has a colour: it is too dark",
-    Check.CAMERA: "too little of couch and floor is seen",
+    Check.SURFACE: say("too little of the region's surface is seen"),
+    Check.COLOR: say("too little of the region has a colour: it is too dark"),
+    Check.CAMERA: say("too little of couch and floor is seen"),
 }
 
 
@@ -87,12 +88,21 @@ class Checks:
         if state.is_on:
             return None
         if not state.was_on:
-            detail = f"{state.check}, not once since the reference: {SEES_TOO_LITTLE[state.check]}"
+            detail = say(
+                "{check}, not once since the reference: {why}",
+                check=state.check,
+                why=SEES_TOO_LITTLE[state.check],
+            )
             return Interruption(HoldReason.CHECK_MISSING, detail) if self._needs_all else None
         off_us = now_us - state.since_us
         if 0 <= off_us <= MAX_UNCHECKED_US:
             return None
-        detail = f"{state.check}, for {off_us / US_PER_S:.1f} s: {SEES_TOO_LITTLE[state.check]}"
+        detail = say(
+            "{check}, for {off_s:.1f} s: {why}",
+            check=state.check,
+            off_s=off_us / US_PER_S,
+            why=SEES_TOO_LITTLE[state.check],
+        )
         return Interruption(HoldReason.CHECK_MISSING, detail)
 
 

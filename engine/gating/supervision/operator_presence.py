@@ -6,11 +6,12 @@ reads. Every attribute is written in one step, so no thread waits.
 """
 
 from engine.core.clock import NS_PER_S, Clock
+from engine.core.sentences import say
 from engine.gating.gate import Gate
 
 MOST_PERSONS = 256
 """More persons than any site has at its pages; beyond that all are forgotten, which holds the beam."""
-NO_PERSON = "no person who may arm is at the page"
+NO_PERSON = say("no person who may arm is at the page")
 
 
 class OperatorPresence:
@@ -39,8 +40,10 @@ class OperatorPresence:
         seen_ns = self._seen_ns.get(gate.armed_by)
         if not self._is_silent(seen_ns, now_ns):
             return ""
-        since = "" if seen_ns is None else f" for {(now_ns - seen_ns) / NS_PER_S:.1f} s"
-        return f"no message from {gate.armed_by}{since}"
+        if seen_ns is None:
+            return say("no message from {armed_by}", armed_by=gate.armed_by)
+        silent_s = (now_ns - seen_ns) / NS_PER_S
+        return say("no message from {armed_by} for {silent_s:.1f} s", armed_by=gate.armed_by, silent_s=silent_s)
 
     def absence_of_all(self, now_ns: int) -> str:
         """Return that no person who may arm is present; empty where one is."""

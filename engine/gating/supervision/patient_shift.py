@@ -17,6 +17,7 @@ import numpy as np
 
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BodyPosition, FloatArray, Motion
 from engine.core.gate_state import HoldReason
+from engine.core.sentences import say
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 
@@ -137,31 +138,50 @@ class PatientShift:
         travel_mm, most_mm = self.travel_mm, self._limits.max_marker_travel_mm
         if travel_mm is None or travel_mm <= most_mm:
             return None
-        detail = (
-            f"the markers slide by {travel_mm:.1f} mm with the breath, {most_mm:g} allowed for a window on a part: put "
-            "them on skin"
+        detail = say(
+            "the markers slide by {travel_mm:.1f} mm with the breath, "
+            "{most_mm:g} allowed for a window on a part: put them on skin",
+            travel_mm=travel_mm,
+            most_mm=most_mm,
         )
         return Interruption(HoldReason.PATIENT_SHIFTED, detail)
 
     def _hold_for(self, moved: Movement) -> Interruption | None:
         limits = self._limits
         if not moved.shift_mm <= limits.max_shift_mm:
-            detail = f"moved {moved.shift_mm:.1f} mm along the couch, {limits.max_shift_mm:g} allowed"
+            detail = say(
+                "moved {shift_mm:.1f} mm along the couch, {max_shift_mm:g} allowed",
+                shift_mm=moved.shift_mm,
+                max_shift_mm=limits.max_shift_mm,
+            )
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         if not moved.turn_deg <= limits.max_turn_deg:
-            detail = f"rotated by {moved.turn_deg:.1f} degrees, {limits.max_turn_deg:g} allowed"
+            detail = say(
+                "rotated by {turn_deg:.1f} degrees, {max_turn_deg:g} allowed",
+                turn_deg=moved.turn_deg,
+                max_turn_deg=limits.max_turn_deg,
+            )
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         return None
 
     def _hold_for_surface(self, position: BodyPosition) -> Interruption | None:
         limits = self._limits
         if not abs(position.height_mm) <= limits.max_height_mm:
-            way = "lowered" if position.height_mm < 0.0 else "raised"
-            detail = f"{way} by {abs(position.height_mm):.1f} mm, {limits.max_height_mm:g} allowed"
+            way = say("lowered") if position.height_mm < 0.0 else say("raised")
+            detail = say(
+                "{way} by {height_mm:.1f} mm, {max_height_mm:g} allowed",
+                way=way,
+                height_mm=abs(position.height_mm),
+                max_height_mm=limits.max_height_mm,
+            )
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         turn_deg = max(abs(position.tilt_deg), abs(position.roll_deg))
         if not turn_deg <= limits.max_turn_deg:
-            detail = f"tilted by {turn_deg:.1f} degrees, {limits.max_turn_deg:g} allowed"
+            detail = say(
+                "tilted by {turn_deg:.1f} degrees, {max_turn_deg:g} allowed",
+                turn_deg=turn_deg,
+                max_turn_deg=limits.max_turn_deg,
+            )
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         return None
 

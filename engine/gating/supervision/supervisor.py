@@ -15,6 +15,7 @@ from engine.core.frames import NODE_COLUMNS, FloatArray, LostReason, Measurement
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
+from engine.core.sentences import listed, say
 from engine.core.signals import is_wide
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
@@ -83,13 +84,22 @@ class ExhaleShape:
         share = RETURNED if self._drifted is not None else 1.0
         allowed_mm = share * self._max_mm
         if not ends_mm <= allowed_mm:
-            detail = f"at the end of exhale the body is tilted: {ends_mm:.1f} mm at the region's ends"
+            detail = say(
+                "at the end of exhale the body is tilted: {ends_mm:.1f} mm at the region's ends", ends_mm=ends_mm
+            )
         elif not shape.redistributed_mm <= REDISTRIBUTED_SHARE * allowed_mm:
             allowed_mm *= REDISTRIBUTED_SHARE
-            detail = f"at the end of exhale thorax and abdomen are shifted by {shape.redistributed_mm:.1f} mm"
+            detail = say(
+                "at the end of exhale thorax and abdomen are shifted by {redistributed_mm:.1f} mm",
+                redistributed_mm=shape.redistributed_mm,
+            )
         else:
             return None
-        text = f"{detail} against the reference, {allowed_mm:.1f} allowed: look at the patient, set the reference again"
+        text = say(
+            "{detail} against the reference, {allowed_mm:.1f} allowed: look at the patient, set the reference again",
+            detail=detail,
+            allowed_mm=allowed_mm,
+        )
         return Interruption(HoldReason.BASELINE_DRIFTED, text)
 
 
@@ -121,7 +131,11 @@ class ModelAge:
         age_min = (now_ns - self._since_ns) / NS_PER_MIN
         if model is None or age_min <= self._limits.max_model_age_min:
             return None
-        detail = f"trained or compared {age_min:.0f} min ago, {self._limits.max_model_age_min:g} allowed"
+        detail = say(
+            "trained or compared {age_min:.0f} min ago, {max_model_age_min:g} allowed",
+            age_min=age_min,
+            max_model_age_min=self._limits.max_model_age_min,
+        )
         return Interruption(HoldReason.MODEL_OLD, detail)
 
     def _note(self, notice: LearningEvent, now_ns: int) -> None:
@@ -220,7 +234,7 @@ class _FrameRate:
         frames = len(self._received_ns)
         if received_ns - self._first_ns < NS_PER_S or frames >= self._min_fps:
             return None
-        detail = f"{frames} frames in the last second, {self._min_fps:g} needed"
+        detail = say("{frames} frames in the last second, {min_fps:g} needed", frames=frames, min_fps=self._min_fps)
         return Interruption(HoldReason.FRAME_RATE_LOW, detail)
 
 
@@ -250,8 +264,12 @@ class _OldPictures:
         old_ms = self._old_ns / NS_PER_MS
         if old_ms <= MAX_OLD_MS:
             return None
-        detail = f"pictures were repeated for {old_ms:.0f} ms, {MAX_OLD_MS:g} allowed: later ones may be as late"
-        return Interruption(HoldReason.FRAME_STALE, f"{detail}; {lost.detail}")
+        detail = say(
+            "pictures were repeated for {old_ms:.0f} ms, {max_old_ms:g} allowed: later ones may be as late",
+            old_ms=old_ms,
+            max_old_ms=MAX_OLD_MS,
+        )
+        return Interruption(HoldReason.FRAME_STALE, listed("; ", (detail, lost.detail)))
 
 
 class _DeviceOrder:
@@ -264,4 +282,7 @@ class _DeviceOrder:
         last, self._last = self._last, device_index
         if last is None or device_index > last:
             return None
-        return Interruption(HoldReason.CLOCK_BACKWARDS, f"the camera's frame {device_index} after its frame {last}")
+        return Interruption(
+            HoldReason.CLOCK_BACKWARDS,
+            say("the camera's frame {device_index} after its frame {last}", device_index=device_index, last=last),
+        )

@@ -8,6 +8,7 @@ from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.core.signals import Ranges, check_choice, signal_of
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
@@ -105,7 +106,7 @@ class AmplitudeWindow:
         if choice != self.choice:
             return self
         if self.unit is Unit.PERCENT:
-            raise InvalidValueError("unit", self.unit, "mm or l: the breathing range is not known yet")
+            raise InvalidValueError("unit", self.unit, say("mm or l: the breathing range is not known yet"))
         return replace(self, lower=self.lower + by, upper=self.upper + by)
 
     def contains(self, value: float, *, was_inside: bool) -> bool:
@@ -118,14 +119,21 @@ class AmplitudeWindow:
         state = states[0]
         if self.unit is Unit.PERCENT:
             return outside(
-                state, HoldReason.RANGE_UNKNOWN, f"the breathing range of {self.choice.label} is not known yet"
+                state,
+                HoldReason.RANGE_UNKNOWN,
+                say("the breathing range of {label} is not known yet", label=self.choice.label),
             )
         value = signal_of(self.choice, frame_input.motion)
         if self.contains(value, was_inside=state.is_inside):
             return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
         digits = 3 if self.unit is Unit.L else 2
-        edges = f"{self.lower:.{digits}f} to {self.upper:.{digits}f} {self.unit}"
-        detail = f"{value:.{digits}f} {self.unit} is not inside {edges}"
+        edges = say(
+            "{lower} to {upper} {unit}",
+            lower=f"{self.lower:.{digits}f}",
+            upper=f"{self.upper:.{digits}f}",
+            unit=self.unit,
+        )
+        detail = say("{value} {unit} is not inside {edges}", value=f"{value:.{digits}f}", unit=self.unit, edges=edges)
         has_left = value < self.lower or value > self.upper
         return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=has_left)
 

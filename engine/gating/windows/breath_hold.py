@@ -9,6 +9,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.core.signals import Ranges, signal_of
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.conditions import (
@@ -122,17 +123,23 @@ class BreathHoldWindow:
     def _settle(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict:
         lowest, highest = min(state.lowest, value), max(state.highest, value)
         if highest - lowest > self.still:
-            return self._still_settling(_begun(state, value, now_us), "the signal moves")
+            return self._still_settling(_begun(state, value, now_us), say("the signal moves"))
         state = replace(state, lowest=lowest, highest=highest)
         if (now_us - state.since_us) * NS_PER_US < self.settle_ms * NS_PER_MS:
-            return self._still_settling(state, f"still for {(now_us - state.since_us) / 1e6:.1f} s")
+            return self._still_settling(
+                state, say("still for {still_s:.1f} s", still_s=(now_us - state.since_us) / 1e6)
+            )
         held = replace(state, stage=HoldStage.HELD, since_us=now_us)
         if held.settled_at is None:
             held = replace(held, settled_at=value, held_since_us=now_us, holds=state.holds + 1)
         return WindowVerdict(is_inside=True, states=(held,))
 
     def _still_settling(self, state: ConditionState, detail: str) -> WindowVerdict:
-        return outside(state, HoldReason.BREATH_HOLD_SETTLING, f"{detail}; {self.settle_ms / 1000.0:g} s needed")
+        return outside(
+            state,
+            HoldReason.BREATH_HOLD_SETTLING,
+            say("{detail}; {settle_s:g} s needed", detail=detail, settle_s=self.settle_ms / 1000.0),
+        )
 
     def _end(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict | None:
         """Return the end of a hold that was still, by drift or by time; None while it continues or has not begun."""
@@ -140,15 +147,23 @@ class BreathHoldWindow:
             return None
         if not abs(value - state.settled_at) <= self.max_drift:
             ended = replace(state, stage=HoldStage.DRIFTED, since_us=now_us)
-            detail = f"{abs(value - state.settled_at):.1f} {self.level.unit} from the settled level"
-            return outside(ended, HoldReason.BREATH_HOLD_DRIFTED, f"{detail}, {self.max_drift:g} allowed")
+            detail = say(
+                "{away:.1f} {unit} from the settled level", away=abs(value - state.settled_at), unit=self.level.unit
+            )
+            return outside(
+                ended,
+                HoldReason.BREATH_HOLD_DRIFTED,
+                say("{detail}, {max_drift:g} allowed", detail=detail, max_drift=self.max_drift),
+            )
         if (now_us - state.held_since_us) * NS_PER_US >= self.timeout_s * NS_PER_S:
             ended = replace(state, stage=HoldStage.OVER, since_us=now_us)
-            return outside(ended, HoldReason.BREATH_HOLD_OVER, f"held for {self.timeout_s:g} s")
+            return outside(
+                ended, HoldReason.BREATH_HOLD_OVER, say("held for {timeout_s:g} s", timeout_s=self.timeout_s)
+            )
         return None
 
     def _needs_a_breath(self) -> str:
-        return f"the patient has to breathe before the next {self.kind} hold"
+        return say("the patient has to breathe before the next {kind} hold", kind=self.kind)
 
 
 def _begun(state: ConditionState, value: float, now_us: int) -> ConditionState:

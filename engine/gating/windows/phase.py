@@ -11,6 +11,7 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.core.signals import Ranges, check_choice
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
@@ -71,13 +72,22 @@ class PhaseWindow:
         state = states[0]
         breath = next((breath for breath in frame_input.breaths if breath.signal == self.choice), None)
         if breath is None or breath.phase_percent is None:
-            note = "the phase of this signal is not computed" if breath is None else breath.note
+            note = say("the phase of this signal is not computed") if breath is None else breath.note
             return outside(state, HoldReason.PHASE_UNKNOWN, note)
         if not breath.phase_confidence >= self.min_confidence:
-            detail = f"confidence {breath.phase_confidence:.2f}, {self.min_confidence:.2f} needed"
+            detail = say(
+                "confidence {phase_confidence:.2f}, {min_confidence:.2f} needed",
+                phase_confidence=breath.phase_confidence,
+                min_confidence=self.min_confidence,
+            )
             return outside(state, HoldReason.PHASE_UNKNOWN, detail)
         if not self.contains(breath.phase_percent):
-            detail = f"{breath.phase_percent:.0f} % is not inside {self.from_percent:g} to {self.to_percent:g} %"
+            detail = say(
+                "{phase_percent:.0f} % is not inside {from_percent:g} to {to_percent:g} %",
+                phase_percent=breath.phase_percent,
+                from_percent=self.from_percent,
+                to_percent=self.to_percent,
+            )
             return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=True)
         return WindowVerdict(is_inside=True, states=(state,))
 

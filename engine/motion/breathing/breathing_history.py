@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.motion.breathing import events as event_rules
 from engine.motion.breathing.breathing_habit import (
     BreathingHabit,
@@ -22,7 +23,7 @@ LEARNED_CYCLES = 3
 KEPT_LOWS = 3
 INITIAL_BREATHS = 2
 CONSISTENT_BELOW = 1.3
-TOO_EARLY = "too little seen yet"
+TOO_EARLY = say("too little seen yet")
 Lows = tuple[tuple[float, float], ...]
 
 

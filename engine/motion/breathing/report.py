@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.replacing import replace
+from engine.core.sentences import say
 from engine.motion.breathing.breathing_habit import BreathingHabit
 from engine.motion.breathing.breathing_history import INITIAL_BREATHS, LEARNED_CYCLES, BreathingHistory
 from engine.motion.breathing.events import Events
@@ -98,12 +99,12 @@ def _running(track: PhaseTrack, habit: BreathingHabit, now_s: float) -> float:
     return track.anchor + 100.0 * (now_s - track.anchor_s) / habit.period_s
 
 
-AFTER_GAP = "not measured for a moment"
-NOT_MEASURED = "not measured"
+AFTER_GAP = say("not measured for a moment")
+NOT_MEASURED = say("not measured")
 HELD = "held"
-LATE = "the breath is late"
-ELSEWHERE = "the level does not match the phase"
-DRIFTED = "the baseline has drifted"
+LATE = say("the breath is late")
+ELSEWHERE = say("the level does not match the phase")
+DRIFTED = say("the baseline has drifted")
 APNOEA = "apnoea"
 US_PER_S = 1e6
 RATE_SPREAD = 0.35

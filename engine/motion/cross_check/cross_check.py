@@ -32,6 +32,7 @@ from engine.core.frames import (
     frozen,
 )
 from engine.core.geometry import RigidTransform
+from engine.core.sentences import say
 from engine.motion.cross_check.appearance import (
     DARK,
     LEAST_DARK_CELLS,
@@ -85,7 +86,7 @@ RETURNED = 0.8
 """A disagreement ends at this share of its limit."""
 MOST_SURFACES = 3000
 _UNKNOWN_MM = frozen(np.full(4, np.nan))
-ADVICE = "check for objects on the patient, then set the reference again"
+ADVICE = say("check for objects on the patient, then set the reference again")
 
 
 class _Observed(NamedTuple):
@@ -265,13 +266,20 @@ class CrossCheck:
         if moved_mm <= self._bound("camera", CAMERA_MM):
             return None
         mover = MOVERS[self._scene.has_floor_moved]
-        where = f"{moved_mm:.1f} mm from where"
         if mover is Mover.COUCH:
-            detail = f"the couch is {where} it was at the reference, the floor has not moved: the couch has moved"
+            detail = say(
+                "the couch is {moved_mm:.1f} mm from where it was at the reference, the floor has not moved: "
+                "the couch has moved",
+                moved_mm=moved_mm,
+            )
         else:
-            what = "camera or couch has moved" if mover is Mover.EITHER else "the camera has moved"
-            detail = f"couch and floor are {where} they were at the reference: {what}"
-        detail = f"{detail}, set the reference again"
+            what = say("camera or couch has moved") if mover is Mover.EITHER else say("the camera has moved")
+            detail = say(
+                "couch and floor are {moved_mm:.1f} mm from where they were at the reference: {what}",
+                moved_mm=moved_mm,
+                what=what,
+            )
+        detail = say("{detail}, set the reference again", detail=detail)
         return Lost(reason=LostReason.CAMERA_MOVED, detail=detail, moved=RoomChange(mover, moved_mm))
 
     def _brightness(self) -> Brightness:
@@ -290,7 +298,11 @@ class CrossCheck:
     def _color_changed(self, share: float) -> Lost | None:
         if not share > self._bound("colour", OTHER_COLOR_SHARE):
             return None
-        detail = f"{share:.0%} of the region has another colour than at the reference, or is dark: {ADVICE}"
+        detail = say(
+            "{share:.0%} of the region has another colour than at the reference, or is dark: {advice}",
+            share=share,
+            advice=ADVICE,
+        )
         return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
 
     def _surface_change(self, reference: _Reference, cells_mm: FloatArray) -> SurfaceChange | None:
@@ -312,9 +324,13 @@ class CrossCheck:
         if not change.spread_mm > self._bound("surface", allowed_mm):
             return None
         largest_mm = float(np.nanmax(np.abs(change.misfit_mm)))
-        detail = (
-            f"the surface differs by up to {largest_mm:.1f} mm from breathing and from a patient who moved as a whole "
-            f"({change.spread_mm:.2f} mm on average, {allowed_mm:.2f} allowed): {ADVICE}"
+        detail = say(
+            "the surface differs by up to {largest_mm:.1f} mm from breathing and "
+            "from a patient who moved as a whole ({spread_mm:.2f} mm on average, {allowed_mm:.2f} allowed): {advice}",
+            largest_mm=largest_mm,
+            spread_mm=change.spread_mm,
+            allowed_mm=allowed_mm,
+            advice=ADVICE,
         )
         return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
 

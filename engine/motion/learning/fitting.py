@@ -15,6 +15,7 @@ import numpy.typing as npt
 from engine.core.errors import ModelError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray
 from engine.core.motion_model import MotionModel
+from engine.core.sentences import say
 from engine.motion.learning.shape_smoothing import fill_unknown, smooth_shapes
 
 MIN_FRAMES = 20
@@ -61,12 +62,16 @@ def fit(
     """
     n = len(depth_mm)
     if n < MIN_FRAMES:
-        msg = f"{n} training frames: at least {MIN_FRAMES} are needed"
+        msg = say("{n} training frames: at least {min_frames} are needed", n=n, min_frames=MIN_FRAMES)
         raise ModelError(msg)
     counts = np.add.reduce(valid.view(np.uint8), axis=0, dtype=np.int64)
     known = counts >= KNOWN_SHARE * n
     if known.mean() < KNOWN_SHARE:
-        msg = f"only {known.mean():.0%} of the region had readings in training: at least {KNOWN_SHARE:.0%} are needed"
+        msg = say(
+            "only {known:.0%} of the region had readings in training: at least {known_share:.0%} are needed",
+            known=known.mean(),
+            known_share=KNOWN_SHARE,
+        )
         raise ModelError(msg)
     stride_px = -(-ROI_ROWS // depth_mm.shape[1])
     mean, centred, scores, eigenvalues = _principal_components(depth_mm, valid, known, stride_px, components)
@@ -108,7 +113,7 @@ def _principal_components(
         k = _above_noise(eigenvalues, most)
         scores = np.ascontiguousarray(vectors[:, ::-1][:, :k], dtype=np.float32)
         if eigenvalues[0] <= 1e-6 * np.count_nonzero(known):
-            msg = "there was no motion during training: no breathing to learn"
+            msg = say("there was no motion during training: no breathing to learn")
             raise ModelError(msg)
         if not gaps.points.size or eigenvalues[0] - largest < FILLED_CHANGE * eigenvalues[0]:
             break

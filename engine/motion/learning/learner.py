@@ -16,6 +16,7 @@ from engine.core.frames import FloatArray, Motion
 from engine.core.learning_status import LearningEvent, LearningStatus, PatientMatch
 from engine.core.motion_model import MotionModel
 from engine.core.reference import ReferenceDistance, ReferenceMoment
+from engine.core.sentences import say
 from engine.core.signals import LearnedLevels, Ranges
 from engine.motion.learning.learning_journal import LearningJournal
 from engine.motion.learning.lifecycle import LearningSetup, ModelLifecycle
@@ -127,7 +128,7 @@ class Learner:
             There is no model yet, or fewer than two such breaths are known.
         """
         if self.models.active is None:
-            msg = "there is no motion model yet: a reference needs one"
+            msg = say("there is no motion model yet: a reference needs one")
             raise CommandRefusedError(msg)
         self.reference.request(moment, most_mm=most_mm)
 
@@ -142,7 +143,7 @@ class Learner:
     def apply_model(self) -> None:
         """Switch to the waiting model; the caller has disarmed the gate. Raise CommandRefusedError if there is none."""
         if self.models.candidate is None:
-            msg = "no new model waits to be applied"
+            msg = say("no new model waits to be applied")
             raise CommandRefusedError(msg)
         self.models.switch(self.models.candidate)
 

@@ -12,6 +12,7 @@ from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchErr
 from engine.core.frames import TrainingProgress
 from engine.core.learning_status import LearningEventKind, PatientMatch
 from engine.core.motion_model import MotionModel
+from engine.core.sentences import say
 from engine.motion.learning.depth_steps import StepsJob, steps_mismatch
 from engine.motion.learning.learning_journal import LearningJournal, match_figures, transfer_figures
 from engine.motion.learning.patient_match import PatientMatchLimits
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
     from engine.motion.learning.refit import SessionRefits
     from engine.motion.learning.training_set import TrainingFrame
 
-BUSY = "a model is being fitted already"
-DROPPED = "the training in progress or the waiting model was dropped: the camera was disconnected"
-COMPARING = "the stored model is still being compared with the patient: wait a few seconds"
+BUSY = say("a model is being fitted already")
+DROPPED = say("the training in progress or the waiting model was dropped: the camera was disconnected")
+COMPARING = say("the stored model is still being compared with the patient: wait a few seconds")
 
 
 class Job(enum.Enum):
@@ -157,9 +158,11 @@ class ModelLifecycle:
         cycles, needed = self.active.model.cycles, self.setup.settings.min_cycles
         if cycles >= needed:
             return None
-        return (
-            f"the motion model was learned from {cycles} complete breathing cycles and {needed} are needed: "
-            "train again while the patient breathes calmly"
+        return say(
+            "the motion model was learned from {cycles} complete breathing cycles and {needed} are needed: "
+            "train again while the patient breathes calmly",
+            cycles=cycles,
+            needed=needed,
         )
 
     @property
@@ -180,9 +183,9 @@ class ModelLifecycle:
             progress = self._task.progress
             return replace(progress, note=refusal) if refusal and not progress.note else progress
         if self._job is not Job.NONE:
-            return _note("fitting the model", share=1.0)
+            return _note(say("fitting the model"), share=1.0)
         if self.candidate is not None:
-            return _note("a new model is ready: it is used when the gate is disarmed", share=1.0)
+            return _note(say("a new model is ready: it is used when the gate is disarmed"), share=1.0)
         return _note(self._journal.recent_refusal, share=0.0) if self._journal.recent_refusal else None
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -268,7 +271,7 @@ class ModelLifecycle:
         self._refits.stop()
         self._reference.is_needed = True
         self._compare(self.active, Comparison.FIRST)
-        detail = "the camera was disconnected: set the reference before arming"
+        detail = say("the camera was disconnected: set the reference before arming")
         self._journal.emit(LearningEventKind.ZERO_NEEDED, detail)
 
     # -- between and at frames ----------------------------------------------------------------------------------
@@ -294,7 +297,7 @@ class ModelLifecycle:
         is_free = not self.is_held and self._task is None and self._job is Job.NONE
         job = self._refits.job(self.active) if is_free and self.active is not None else None
         if job is not None:
-            self._journal.emit(LearningEventKind.STARTED, "the model is refitted to the session so far")
+            self._journal.emit(LearningEventKind.STARTED, say("the model is refitted to the session so far"))
             self.start(StepsJob(job=job, steps=self.depth_steps), JobEvent.REFIT)
 
     def retrain_if_due(self) -> None:
@@ -305,7 +308,7 @@ class ModelLifecycle:
         if interval_s > 0.0 and is_free and now_us - self._learned_us >= interval_s * 1e6:
             self.begin_learning()
             figures = {"interval_s": interval_s}
-            self._journal.emit(LearningEventKind.STARTED, "the retraining interval has passed", figures)
+            self._journal.emit(LearningEventKind.STARTED, say("the retraining interval has passed"), figures)
 
     def start(self, job: Callable[[], Outcome], event: JobEvent = JobEvent.START) -> None:
         """Hand a job to the trainer."""
@@ -333,11 +336,11 @@ class ModelLifecycle:
     def _receive(self, candidate: Candidate, started_with: PreparedModel | None) -> None:
         self._learned_us = self._journal.now_us
         if started_with is not self.active:  # cannot happen: models are not switched while the trainer is busy
-            self._refuse(ModelError("another model is in use by now"))
+            self._refuse(ModelError(say("another model is in use by now")))
             return
         if self.active is not None:
             figures = transfer_figures(candidate, self._reference.current)
-            self._journal.emit(LearningEventKind.READY, "a new model is ready", figures)
+            self._journal.emit(LearningEventKind.READY, say("a new model is ready"), figures)
         self.candidate = candidate
         self.switch_if_allowed()
 
@@ -354,9 +357,9 @@ class ModelLifecycle:
         self.active = candidate.active
         self._journal.change(is_position_new=not is_transferred)
         self._journal.refusal = ""
-        self._journal.emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
+        self._journal.emit(LearningEventKind.SWAPPED, say("a new model is in use"), figures)
         if not is_transferred:
-            detail = "a new model without a reference: set it before arming"
+            detail = say("a new model without a reference: set it before arming")
             self._journal.emit(LearningEventKind.ZERO_NEEDED, detail)
         self._positions.begin_past(candidate.past_breaths)
         if candidate.is_stored:
@@ -372,7 +375,7 @@ class ModelLifecycle:
         if patient_match.refusal is None and self.active is not None:
             patient_match = replace(patient_match, refusal=steps_mismatch(self.active.model, self.depth_steps))
         self.patient_match, self._comparison = patient_match, Comparison.NONE
-        detail = "the stored model was compared with the patient"
+        detail = say("the stored model was compared with the patient")
         self._journal.emit(LearningEventKind.COMPARED, detail, match_figures(patient_match))
         if patient_match.refusal is None:
             return

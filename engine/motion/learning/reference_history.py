@@ -23,6 +23,7 @@ from engine.core.breath import GateSignal, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.position_check import PositionCheck
 from engine.core.reference import FirstReference, ReferenceDistance, ReferenceMoment, SignalLevel
+from engine.core.sentences import say
 from engine.core.signals import LearnedLevels, Ranges, ranges_of
 from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM, RigidFit, position_between, rigid_between
 from engine.motion.learning.prepared_model import PreparedModel, Reference
@@ -94,14 +95,13 @@ def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
 
 LEAST_SEEN = 0.9
 """Least share of the surface's nodes that both references need."""
-AWAY = "the camera was disconnected since"
-OTHER_CAMERA = "it was measured with another calibration"
-OTHER_REGIONS = "it was measured with other regions"
-NOT_MEASURED = "the patient is not measured at present"
-TOO_LITTLE = "too little of the surface is known"
-NO_MOMENT = "the plan's position does not name the moment of the breath that it was set at"
-OTHER_MOMENT = "the plan's position was set at another moment of the breath ({plan}, not {moment})"
-NO_OVERLAP = "too little of both surfaces is known, or they do not overlap"
+AWAY = say("the camera was disconnected since")
+OTHER_CAMERA = say("it was measured with another calibration")
+OTHER_REGIONS = say("it was measured with other regions")
+NOT_MEASURED = say("the patient is not measured at present")
+TOO_LITTLE = say("too little of the surface is known")
+NO_MOMENT = say("the plan's position does not name the moment of the breath that it was set at")
+NO_OVERLAP = say("too little of both surfaces is known, or they do not overlap")
 
 _TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
 
@@ -195,7 +195,13 @@ class ReferenceHistory:
             return AWAY
         if plan.moment is None:
             return NO_MOMENT
-        return "" if plan.moment is moment else OTHER_MOMENT.format(plan=plan.moment, moment=moment)
+        if plan.moment is moment:
+            return ""
+        return say(
+            "the plan's position was set at another moment of the breath ({plan}, not {moment})",
+            plan=plan.moment,
+            moment=moment,
+        )
 
     def lose_camera(self) -> None:
         """Note that the camera was disconnected: it may have moved, so positions are not comparable any more."""

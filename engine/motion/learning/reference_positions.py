@@ -11,6 +11,7 @@ from engine.core.breath import Breath
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import FloatArray, Motion
 from engine.core.reference import ReferenceDistance, ReferenceMoment, ReferenceProposal
+from engine.core.sentences import say
 from engine.core.signals import Ranges
 from engine.motion.learning.learning_journal import LearningJournal
 from engine.motion.learning.past_frames import FOLLOWED_AT_ONCE, PastBreaths, PastFrames, Stretch
@@ -21,7 +22,9 @@ from engine.motion.learning.reference_transfer import ReferenceTransfer
 from engine.motion.learning.seen_shares import of_regions
 from engine.motion.learning.training_set import TrainingFrame, Vertices
 
-TOO_FEW_BREATHS = "fewer than two breaths are known since the patient lies here: wait until the patient has breathed"
+TOO_FEW_BREATHS = say(
+    "fewer than two breaths are known since the patient lies here: wait until the patient has breathed"
+)
 
 
 class _Newest(NamedTuple):

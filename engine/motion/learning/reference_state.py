@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from engine.core.breath import SignalChoice
 from engine.core.learning_status import LearningEventKind
 from engine.core.reference import ReferenceMoment
+from engine.core.sentences import say
 from engine.core.signals import LearnedLevels, Ranges
 from engine.motion.learning.learning_journal import LearningJournal, distance_figures, position_figures
 from engine.motion.learning.prepared_model import PreparedModel, Reference
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from engine.core.position_check import PositionCheck
     from engine.core.reference import ReferenceDistance
 
-FIRST = "the first reference of this fraction: later ones are measured from it"
+FIRST = say("the first reference of this fraction: later ones are measured from it")
 
 
 class _Request(NamedTuple):
@@ -94,7 +95,7 @@ class ReferenceState:
         self._request, self.is_needed = None, True
         self._positions.forget()
         self._journal.change()
-        detail = "the reference was not set, because the patient was not measured for a second: set it again"
+        detail = say("the reference was not set, because the patient was not measured for a second: set it again")
         self._journal.emit(LearningEventKind.ZERO_NEEDED, detail)
 
     def take_up(self, active: PreparedModel, present: Callable[[], Reference]) -> Reference:
@@ -116,10 +117,10 @@ class ReferenceState:
         self.position_check = self._history.position(reference, request.moment)
         self.is_needed = first is None and not self.distance.is_within(request.most_mm)
         if self.is_needed:
-            detail = f"the reference was dropped, because it lies {self.distance.text}: set it again"
+            detail = say("the reference was dropped, because it lies {text}: set it again", text=self.distance.text)
             self._journal.emit(LearningEventKind.ZERO_NEEDED, detail, distance_figures(self.distance))
             return
-        detail = FIRST if first is not None else f"the reference lies {self.distance.text}"
+        detail = FIRST if first is not None else say("the reference lies {text}", text=self.distance.text)
         figures = {**distance_figures(self.distance), **position_figures(self.position_check)}
         self._journal.emit(LearningEventKind.REFERENCE_SET, detail, figures, first)
 

@@ -14,6 +14,7 @@ from typing import Generic, Protocol, TypeVar
 from engine.core.bounds import check_numbers
 from engine.core.errors import InvalidValueError, ModelError, TrainingFailedError
 from engine.core.native_process import give_freed_memory_back
+from engine.core.sentences import say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +140,7 @@ class OneJobAtATime(Generic[T]):
     def start(self, job: Callable[[], T]) -> None:
         """Start a job; raise ModelError if one is running."""
         if self._is_busy:
-            msg = "a model is being fitted already"
+            msg = say("a model is being fitted already")
             raise ModelError(msg)
         self._is_busy = True
         self._hand_over(job)

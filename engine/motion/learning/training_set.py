@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.frames import BoolArray, FloatArray, RoiDepth, TrainingProgress, frozen
+from engine.core.sentences import say
 from engine.motion.breathing import count_cycles, excursion_mm
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.stages.roi import at_nodes
@@ -203,8 +204,11 @@ class TrainingSet:
         )
         note = ""
         if share < 1.0 and self.seconds >= 0.5 * settings.max_seconds:
-            note = (
-                f"{judged.cycles} complete breathing cycles in {self.seconds:.0f} s: {settings.min_cycles} are needed"
+            note = say(
+                "{cycles} complete breathing cycles in {seconds:.0f} s: {min_cycles} are needed",
+                cycles=judged.cycles,
+                seconds=self.seconds,
+                min_cycles=settings.min_cycles,
             )
         return TrainingProgress(
             frames=len(self._frames),

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import BoolArray, ColorImage, FloatArray, Lost, LostReason, Markers
+from engine.core.sentences import listed, say
 
 MAX_CANDIDATES = 14
 UP_PX = (0.0, -1.0)
@@ -35,7 +36,7 @@ RING_RADII = (1.55, 2.1)
 MAX_BRIGHT_RING = 0.12
 RADIUS_STEP_PX = 0.1
 # For a smaller sticker the ring has no pixels and the disc less than one.
-CORNERS = ("superior right", "superior left", "inferior left", "inferior right")
+CORNERS = (say("superior right"), say("superior left"), say("inferior left"), say("inferior right"))
 """The markers in their order, by the patient's sides."""
 SMALLEST_PX = 3.2
 # Four stickers four diameters apart, with their rings, need a picture six diameters high.
@@ -95,9 +96,9 @@ def find_markers(color: ColorImage, search: MarkerSearch) -> Markers | Lost:
     quadrilateral = _best_quadrilateral(blobs, search)
     if quadrilateral is None:
         detail = (
-            f"{len(blobs)} of 4 markers found"
+            say("{blobs} of 4 markers found", blobs=len(blobs))
             if len(blobs) < 4
-            else "no four of the spots found form a valid quadrilateral"
+            else say("no four of the spots found form a valid quadrilateral")
         )
         return Lost(reason=LostReason.MARKER_LOST, detail=detail)
     return Markers(centers_px=quadrilateral)
@@ -120,7 +121,12 @@ def refuse_size(color: ColorImage, search: MarkerSearch) -> Lost | None:
     largest_px = LARGEST_SHARE * min(color.shape[:2])
     if SMALLEST_PX <= search.diameter_px <= largest_px:
         return None
-    detail = f"markers would be {search.diameter_px:.1f} px wide; {SMALLEST_PX:g} to {largest_px:.0f} px can be found"
+    detail = say(
+        "markers would be {diameter_px:.1f} px wide; {smallest_px:g} to {largest_px:.0f} px can be found",
+        diameter_px=search.diameter_px,
+        smallest_px=SMALLEST_PX,
+        largest_px=largest_px,
+    )
     return Lost(reason=LostReason.MARKER_LOST, detail=detail)
 
 
@@ -141,18 +147,19 @@ def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSear
     blobs = _refine(color, expected_px, search)
     missing = [corner for corner, blob in zip(CORNERS, blobs, strict=True) if blob is None]
     if missing:
-        where = "no marker is near its last position" if len(missing) == len(CORNERS) else missing_text(missing)
+        where = say("no marker is near its last position") if len(missing) == len(CORNERS) else missing_text(missing)
         return Lost(reason=LostReason.MARKER_LOST, detail=where)
     found = np.array([blob.center_px for blob in blobs if blob is not None])
     if not _bounds_a_region(found, search.diameter_px**2):
-        return Lost(reason=LostReason.MARKER_LOST, detail="the tracked markers do not form a valid quadrilateral")
+        return Lost(reason=LostReason.MARKER_LOST, detail=say("the tracked markers do not form a valid quadrilateral"))
     return Markers(centers_px=found)
 
 
 def missing_text(corners: Sequence[str]) -> str:
     """Name the markers that are not seen."""
-    plural = "s are" if len(corners) > 1 else " is"
-    return f"the {' and the '.join(corners)} marker{plural} hidden or gone"
+    if len(corners) == 1:
+        return say("the {corner} marker is hidden or gone", corner=corners[0])
+    return say("markers hidden or gone: {corners}", corners=listed(", ", corners))
 
 
 def _bounds_a_region(centers_px: FloatArray, least_px2: float) -> bool:

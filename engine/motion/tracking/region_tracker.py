@@ -26,6 +26,7 @@ from engine.core.frames import (
     RoiDepth,
     frozen,
 )
+from engine.core.sentences import listed, say
 from engine.motion.stages import markers as marker_stage
 from engine.motion.stages.markers import MarkerSearch
 from engine.motion.stages.roi import Aligned, align, at_nodes, cut_out, roi_nodes
@@ -131,7 +132,8 @@ class RegionTracker:
         gap_ms = frame.pair_gap_us / 1000.0
         if gap_ms > self._max_pair_gap_ms:
             return Lost(
-                reason=LostReason.MARKER_LOST, detail=f"colour picture and depth frame are {gap_ms:.0f} ms apart"
+                reason=LostReason.MARKER_LOST,
+                detail=say("colour picture and depth frame are {gap_ms:.0f} ms apart", gap_ms=gap_ms),
             )
         search = self.search(frame)
         if search is None:
@@ -155,7 +157,9 @@ class RegionTracker:
         if isinstance(found, Markers) or self._last_px is None:
             return found
         missing = tracked or marker_stage.track_markers(frame.color, self._last_px, search)
-        return replace(found, detail=f"{found.detail}: {missing.detail}") if isinstance(missing, Lost) else found
+        return (
+            replace(found, detail=listed(": ", (found.detail, missing.detail))) if isinstance(missing, Lost) else found
+        )
 
     def _layout_lost(self, found: Markers) -> Lost | None:
         """Return the reason if the layout differs from the fixed one, otherwise None."""
@@ -164,7 +168,10 @@ class RegionTracker:
         change = marker_stage.layout_change(found.centers_px, self._layout_px)
         if change <= self._max_layout_change:
             return None
-        return Lost(reason=LostReason.LAYOUT_CHANGED, detail=f"a distance between markers changed by {change:.0%}")
+        return Lost(
+            reason=LostReason.LAYOUT_CHANGED,
+            detail=say("a distance between markers changed by {change:.0%}", change=change),
+        )
 
     def search(self, frame: RgbdFrame) -> MarkerSearch | None:
         """Return the search parameters; None if the distance of the chest is unknown."""
@@ -181,7 +188,14 @@ class RegionTracker:
         if marker_stage.refuse_size(frame.color, search) is not None:
             distance_mm = self._distance_mm(frame) or 0.0
             self._node_depth_mm = None
-            return replace(lost, detail=f"the object in view is {distance_mm:.0f} mm away: {lost.detail}")
+            return replace(
+                lost,
+                detail=say(
+                    "the object in view is {distance_mm:.0f} mm away: {detail}",
+                    distance_mm=distance_mm,
+                    detail=lost.detail,
+                ),
+            )
         if self._node_depth_mm is not None and not self._is_depth_modelled:
             # Before there is a model, a single bad picture may have spoilt the distance.
             seen_mm = _middle_distance_mm(frame)
@@ -235,7 +249,7 @@ def _middle_distance_mm(frame: RgbdFrame) -> float | None:
 
 def coverage_lost(share: float) -> Lost:
     """Return the loss for too few readings in the region, a share from 0 to 1."""
-    return Lost(reason=LostReason.COVERAGE_LOW, detail=f"the camera sees {share:.0%} of the region")
+    return Lost(reason=LostReason.COVERAGE_LOW, detail=say("the camera sees {share:.0%} of the region", share=share))
 
 
 def _low_pass(before_mm: FloatArray, roi: RoiDepth, share: float) -> FloatArray:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.frames import Lost, LostReason, RgbdFrame
+from engine.core.sentences import say
 
 THINNING_PX = 16
 """Step of the rows and columns compared first: different pictures differ there, at a hundredth of the cost."""
@@ -91,7 +92,7 @@ class RepeatedPictures:
     """Compares each picture with earlier ones; owned by one thread."""
 
     def __init__(self) -> None:
-        self._streams = {"depth": _Stream(is_depth=True), "colour": _Stream(is_depth=False)}
+        self._streams = {say("depth"): _Stream(is_depth=True), say("colour"): _Stream(is_depth=False)}
 
     def check(self, frame: RgbdFrame) -> Lost | None:
         """Return the loss of a frame whose depth or colour picture is old: its values are those of another moment."""
@@ -100,5 +101,8 @@ class RepeatedPictures:
         color.check(frame.color, frame.color_timestamp_us)
         for name, stream in self._streams.items():
             if stream.repeats > 0:
-                return Lost(reason=LostReason.FRAME_FROZEN, detail=f"the {name} picture is repeated ({stream.repeats})")
+                return Lost(
+                    reason=LostReason.FRAME_FROZEN,
+                    detail=say("the {name} picture is repeated ({repeats})", name=name, repeats=stream.repeats),
+                )
         return None

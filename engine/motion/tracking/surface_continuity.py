@@ -26,6 +26,7 @@ import numpy as np
 from engine.core.compiled import kernels
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, RoiDepth
 from engine.core.geometry import least_squares
+from engine.core.sentences import say
 from engine.motion.stages.markers import CORNERS
 
 # A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
@@ -89,9 +90,10 @@ class SurfaceContinuity:
             misfit_mm = self._misfit_mm(observed, last, shapes, allowed_mm)
             if misfit_mm is not None:
                 self._is_broken, self._calm_since_us = True, None
-                return (
-                    f"the surface changed by {misfit_mm:.1f} mm, faster than skin can move: check for objects on the "
-                    "patient, then set the reference again"
+                return say(
+                    "the surface changed by {misfit_mm:.1f} mm, faster than skin can move: "
+                    "check for objects on the patient, then set the reference again",
+                    misfit_mm=misfit_mm,
                 )
         self._accept(observed)
         return ""
@@ -271,16 +273,19 @@ def _rescaled(low_mm: Distances, now_mm: Distances, high_mm: Distances) -> str |
     middle = sum(changes) / len(changes)
     if not (abs(middle) >= LEAST_RESCALED and all(abs(one - middle) <= 0.5 * abs(middle) for one in changes)):
         return None
-    return (
-        f"all distances between the markers changed by {middle:+.1%}: the depth scale of the camera has "
-        "changed: check the camera"
+    return say(
+        "all distances between the markers changed by {middle:+.1%}: "
+        "the depth scale of the camera has changed: check the camera",
+        middle=middle,
     )
 
 
 def _described(beyond_mm: Distances) -> str:
     """Name the marker whose distances to the three others changed most in sum, and their largest change."""
     sums = [sum(beyond for beyond, pair in zip(beyond_mm, PAIRS, strict=True) if marker in pair) for marker in range(4)]
-    return (
-        f"a distance of the {CORNERS[sums.index(max(sums))]} marker is {max(beyond_mm):.0f} mm beyond its range: "
-        "put the marker back, or set the reference again"
+    return say(
+        "a distance of the {corners} marker is {beyond_mm:.0f} mm beyond its range: "
+        "put the marker back, or set the reference again",
+        corners=CORNERS[sums.index(max(sums))],
+        beyond_mm=max(beyond_mm),
     )

@@ -13,6 +13,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
+from service.core.schemas.sentences import SentenceParts, Text
+
 
 def broken(field: str, value: object, bound: str) -> PydanticCustomError:
     """Return the validation error of a rule that spans several fields.
@@ -80,11 +82,14 @@ class Problem(Answer):
     type: str = Field(examples=["urn:tidegate:problem:invalid_value"])
     title: str
     status: int
-    detail: str
+    detail: Text
     code: str = Field(examples=["invalid_value"])
     field: str | None = Field(default=None, examples=["window.lower_mm"])
     value: str | None = Field(default=None, examples=["-400.0"])
     bound: str | None = Field(default=None, examples=["at least -100"])
+    sentences: list[SentenceParts] | None = Field(
+        default=None, description="What the sentences with values in `detail` were made from"
+    )
     errors: list[BrokenBound] | None = Field(
         default=None, description="All values outside their bounds, starting with the one above; at most 20"
     )

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from service.core.schemas.base import Answer, Identifier, Operator, Request, broken
 from service.core.schemas.live_messages import LiveWindow
+from service.core.schemas.sentences import SENTENCES, SentenceParts, Text
 from service.core.schemas.windows import Window
 
 UNITS = ("mm", "l")
@@ -117,7 +118,7 @@ class ArmingItem(Answer):
     state: Literal["ok", "attention", "missing"] = Field(
         description="`missing`: arming is refused because of it; `attention`: a person has to look at it"
     )
-    text: str = Field(description="What is in force, and what to do where something is missing")
+    text: Text = Field(description="What is in force, and what to do where something is missing")
 
 
 class ArmingSummary(Answer):
@@ -126,6 +127,7 @@ class ArmingSummary(Answer):
     session_id: Identifier
     is_ready: bool = Field(description="Nothing is missing, as far as is known without asking the engine to arm")
     items: list[ArmingItem]
+    sentences: list[SentenceParts] = SENTENCES
     window: Window = Field(description="As prescribed")
     gate_window: LiveWindow | None = Field(description="As the gate applies it; null until a frame was decided on")
     predicted_duty_percent: float | None

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
+from service.core.schemas.sentences import SENTENCES, SentenceParts, Text
+
 CalibrationKind = Literal["uploaded", "device registration"]
 SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
 SessionStatusName = Literal["running", "ended", "stopped", "failed"]
@@ -108,7 +110,8 @@ class LiveAlarm(Message):
     code: str = Field(description="A hold reason, or `permit_without_beam`, `audit_trouble`, `thread_ended`")
     priority: AlarmPriorityName
     text: str = Field(description="Sentence for the operator")
-    detail: str = Field(description="Details with values, as at the beginning")
+    detail: Text = Field(description="Details with values, as at the beginning")
+    sentences: list[SentenceParts] = SENTENCES
     since: AwareDatetime = Field(description="Beginning of the condition, before the alarm's delay")
     latches: bool = Field(description="It lasts until a named person acknowledges it, and ends with that")
     acknowledged_by: str | None = Field(description="The person who acknowledged it; null until then")
@@ -137,7 +140,7 @@ class LiveLost(Message):
     """Reason why this frame could not be measured; while `state` is `measuring`, why the gate does not rest on it."""
 
     reason: str
-    detail: str
+    detail: Text
     moved: MoverName | None = Field(
         default=None, description="What has moved since the reference: a new reference has to confirm it"
     )
@@ -151,7 +154,7 @@ class LiveTraining(Message):
     cycles: int
     seconds: float
     share: float
-    note: str
+    note: Text
     amplitude_mm: float | None = Field(default=None, description="Breathing amplitude so far")
     shift_mm: float | None = Field(default=None, description="Displacement of the region since the training started")
 
@@ -220,7 +223,7 @@ class LiveBreathEvent(Message):
     kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "no_cycle", "drift"]
     confidence: float = Field(description="0 to 1")
     since_s: float
-    detail: str
+    detail: Text
 
 
 class LiveBreath(Message):
@@ -230,7 +233,7 @@ class LiveBreath(Message):
     unit: Literal["mm", "l"] = Field(description="Unit of amplitude, baseline and drift")
     phase_percent: float | None = Field(description="0 at the end of inhale, about 50 at the end of exhale")
     phase_confidence: float = Field(description="0 to 1")
-    note: str = Field(description="Reason why the phase is unknown; empty if it is known")
+    note: Text = Field(description="Reason why the phase is unknown; empty if it is known")
     rate_per_min: float | None
     rate_confidence: float
     amplitude: float | None
@@ -255,7 +258,7 @@ class LiveBreathHold(Message):
 class LiveReference(Message):
     """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
 
-    text: str = Field(description="Sentence to display")
+    text: Text = Field(description="Sentence to display")
     distance_mm: float | None = Field(description="Compared with the budget; null if it is not known, see `unknown`")
     budget_mm: float = Field(description="Beyond it a reference or a correction needs a person's reason")
     is_beyond: bool = Field(description="Beyond the budget, or at an unknown distance")
@@ -268,7 +271,7 @@ class LiveReference(Message):
     level: float | None = Field(description="Level of the first gated signal, with the correction, in `unit`")
     correction: float = Field(description="Baseline correction of the window since the reference was set, in `unit`")
     unit: Literal["mm", "l"] = Field(description="Unit of `level` and `correction`")
-    unknown: str = Field(default="", description="Reason why the distance is not known")
+    unknown: Text = Field(default="", description="Reason why the distance is not known")
 
 
 class LiveDegree(Message):
@@ -293,16 +296,16 @@ class LivePositionCheck(Message):
         " `lapsed`: the patient or the camera may have moved since the reference was set. Unless it is `first_fraction`"
         " or `signed`, arming is refused"
     )
-    text: str = Field(description="Sentence to display")
+    text: Text = Field(description="Sentence to display")
     plan_session_id: str | None = Field(description="The session whose first reference is the plan's position")
     reference_number: int | None = Field(description="For `POST .../position-check`; null while no reference is set")
     degrees: list[LiveDegree] = Field(description="Of the reference in use; empty where nothing is compared")
     shape_mm: float | None = Field(description="Distance of the surfaces that remains, root mean square")
     is_within: bool = Field(description="Compared, and all within the tolerance; else a signature needs a reason")
-    shortcomings: list[str] = Field(description="What is beyond the tolerance or not determined")
+    shortcomings: list[Text] = Field(description="What is beyond the tolerance or not determined")
     signed_by: str | None
     reason: str = Field(description="Given with the signature; empty where none was needed")
-    lapse: str = Field(description="Why the position has to be taken again; empty where it has not")
+    lapse: Text = Field(description="Why the position has to be taken again; empty where it has not")
 
 
 class LivePosition(Message):
@@ -329,7 +332,7 @@ class LiveCheck(Message):
         description="`off`: it worked since the reference was set and cannot now; `never`: it has not worked since then"
     )
     seconds: float | None = Field(description="Time in this state, by the camera's clock; null where it is not kept")
-    text: str = Field(description="Sentence to display")
+    text: Text = Field(description="Sentence to display")
 
 
 CameraAdviceName = Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]
@@ -358,7 +361,7 @@ class LiveLag(Message):
     lag_deg: float | None
     period_s: float | None
     confidence: float | None
-    note: str
+    note: Text
 
 
 class Sample(Message):
@@ -376,7 +379,7 @@ class Sample(Message):
     is_armed: bool
     is_simulated_beam: bool
     calibration: CalibrationKind = "uploaded"
-    body_warning: str | None = Field(
+    body_warning: Text | None = Field(
         default=None, description="Warning to display if the body differs from that of the patient's earlier session"
     )
     frame_index: int
@@ -387,7 +390,8 @@ class Sample(Message):
     gate: GateName
     hold_reason: str | None
     hold_text: str | None
-    hold_detail: str = Field(default="", description="Details of the hold reason, with values")
+    hold_detail: Text = Field(default="", description="Details of the hold reason, with values")
+    sentences: list[SentenceParts] = SENTENCES
     operator_hold: str | None = Field(default=None, description="First operator who holds the beam by hand")
     operator_holds: list[str] = Field(
         default_factory=list, description="All operators who hold the beam by hand, in the order of their holds"

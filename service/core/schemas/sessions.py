@@ -22,6 +22,7 @@ from service.core.schemas.live_messages import (
     LiveReference,
     LiveWindow,
 )
+from service.core.schemas.sentences import Text
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -417,7 +418,7 @@ class CameraView(Answer):
         description="`camera_mismatch`: the calibration belongs to another camera, refused in clinical mode; "
         "`serial_unknown`: the calibration has no serial number; null if both match, or if there is nothing to compare"
     )
-    warning: str | None = Field(description="Warning to display beside every result")
+    warning: Text | None = Field(description="Warning to display beside every result")
 
 
 class BodyView(Answer):
@@ -433,7 +434,7 @@ class BodyView(Answer):
     is_position_compared: bool = Field(
         description="False if the earlier session had another calibration: shift and tilt are then meaningless"
     )
-    warning: str | None = Field(description="Warning to display: a limit of the patient match is exceeded")
+    warning: Text | None = Field(description="Warning to display: a limit of the patient match is exceeded")
 
 
 class LatencyView(Answer):
@@ -503,8 +504,8 @@ class Session(Answer):
     calibration: CalibrationKind = Field(
         default="uploaded", description="`device registration`: the camera is not calibrated"
     )
-    calibration_warning: str | None = Field(default=None, description="Warning to display beside every result")
-    source_warning: str | None = Field(
+    calibration_warning: Text | None = Field(default=None, description="Warning to display beside every result")
+    source_warning: Text | None = Field(
         default=None, description="Warning to display if a recording gates a real beam line"
     )
     window: Window = Field(description="As prescribed: at the creation of the session, or by `POST .../window` since")

@@ -13,6 +13,7 @@ from typing import Literal
 from engine.calibration import Calibration
 from engine.capture import CheckedSource, LiveSource, SourceDescription
 from engine.core.errors import CameraMismatchError
+from engine.core.sentences import say
 from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
@@ -33,15 +34,18 @@ def serial_warning(calibration: Calibration, camera: SourceDescription) -> Seria
     if not camera.is_live or calibration.is_device_registration:
         return None
     if calibration.serial and calibration.serial != camera.serial:
-        text = (
-            f"the calibration is of the camera with serial number {calibration.serial}, and this one has "
-            f"{camera.serial or 'none'}: calibrate this camera"
+        text = say(
+            "the calibration is of the camera with serial number {serial}, and this one has {present}: "
+            "calibrate this camera",
+            serial=calibration.serial,
+            present=camera.serial or say("none"),
         )
         return SerialWarning(code="camera_mismatch", text=text)
     if not calibration.serial:
-        text = (
-            f"the calibration has no serial number, so that it cannot be compared with this camera's "
-            f"({camera.serial or 'none'}): see that it belongs to it, and write it into the calibration"
+        text = say(
+            "the calibration has no serial number, so that it cannot be compared with this camera's ({present}): "
+            "see that it belongs to it, and write it into the calibration",
+            present=camera.serial or say("none"),
         )
         return SerialWarning(code="serial_unknown", text=text)
     return None
@@ -62,7 +66,7 @@ def _refuse_mismatch(calibration: Calibration, camera: SourceDescription) -> Non
 
 FIELD = "calibration_id"
 FORBIDDEN = "a measured calibration: this site does not allow a camera's own registration"
-WARNING = (
+WARNING = say(
     "no calibration: the camera's own registration and nominal geometry are used; scale and alignment of this unit "
     "were not measured: not for treatment"
 )

@@ -7,6 +7,7 @@ The patient on the couch is not the recorded one, and the recording breathes ind
 
 from pathlib import Path
 
+from engine.core.sentences import say
 from service.core.errors import BoundError, NotFoundError
 from service.core.schemas import sessions
 from service.core.settings.names import PREFIX
@@ -88,7 +89,7 @@ def _is_file(path: Path) -> bool:
 
 
 KIND_FIELD = "source.kind"
-WARNING = "RECORDING: a played recording, and no patient, gates a REAL beam line"
+WARNING = say("RECORDING: a played recording, and no patient, gates a REAL beam line")
 
 
 def check_source(source: sessions.RecordingSource | sessions.DeviceSource, settings: Settings) -> None:

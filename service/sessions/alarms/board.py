@@ -16,6 +16,7 @@ from engine.core.clock import NS_PER_S
 from engine.core.gate_state import GateState, HoldReason
 from service.core.alarm_table import ALARMS, AUDIT_TROUBLE, PERMIT_WITHOUT_BEAM, THREAD_ENDED, AlarmRule, AlarmScope
 from service.core.schemas.live_messages import LiveAlarm, LiveAlarmEvent
+from service.core.schemas.sentences import sentence_parts
 
 CLEAR_NS = NS_PER_S
 """A condition that is absent for less than this counts as lasting, so that a flickering one is one alarm."""
@@ -213,6 +214,7 @@ def live_alarm(alarm: Alarm) -> LiveAlarm:
         priority=rule.priority.value,
         text=rule.text,
         detail=alarm.detail,
+        sentences=sentence_parts(alarm.detail),
         since=alarm.since,
         latches=rule.latches,
         acknowledged_by=alarm.acknowledged_by,

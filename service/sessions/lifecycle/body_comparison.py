@@ -13,6 +13,7 @@ from sqlalchemy import select
 from engine.core.errors import TidegateError
 from engine.core.frames import FloatArray
 from engine.core.motion_model import MotionModel
+from engine.core.sentences import listed, say
 from engine.motion import PatientMatchLimits, rigid_between
 from service.engine_host.roles import BodyMatch
 from service.storage.audit import SYSTEM, Event
@@ -76,13 +77,29 @@ def compare_bodies(earlier: EarlierBody, today: MotionModel, limits: PatientMatc
     warnings = []
     if not rigid.shape_mm <= limits.max_shape_mm:
         warnings.append(
-            f"the body differs by {rigid.shape_mm:.1f} mm from the patient's earlier session, "
-            f"{limits.max_shape_mm:g} mm allowed: another patient, or markers at other places"
+            say(
+                "the body differs by {shape_mm:.1f} mm from the patient's earlier session, {max_shape_mm:g} mm "
+                "allowed: another patient, or markers at other places",
+                shape_mm=rigid.shape_mm,
+                max_shape_mm=limits.max_shape_mm,
+            )
         )
     if is_position_compared and not rigid.distance_mm <= limits.max_shift_mm:
-        warnings.append(f"the patient lies {rigid.distance_mm:.0f} mm from there, {limits.max_shift_mm:g} mm allowed")
+        warnings.append(
+            say(
+                "the patient lies {distance_mm:.0f} mm from there, {max_shift_mm:g} mm allowed",
+                distance_mm=rigid.distance_mm,
+                max_shift_mm=limits.max_shift_mm,
+            )
+        )
     if is_position_compared and not rigid.tilt_deg <= limits.max_tilt_deg:
-        warnings.append(f"the body is turned by {rigid.tilt_deg:.0f} deg, {limits.max_tilt_deg:g} deg allowed")
+        warnings.append(
+            say(
+                "the body is turned by {tilt_deg:.0f} deg, {max_tilt_deg:g} deg allowed",
+                tilt_deg=rigid.tilt_deg,
+                max_tilt_deg=limits.max_tilt_deg,
+            )
+        )
     return BodyMatch(
         session_id=earlier.session_id,
         model_id=earlier.model_id,
@@ -90,7 +107,7 @@ def compare_bodies(earlier: EarlierBody, today: MotionModel, limits: PatientMatc
         tilt_deg=rigid.tilt_deg,
         shape_mm=rigid.shape_mm,
         is_position_compared=is_position_compared,
-        warning="; ".join(warnings) or None,
+        warning=listed("; ", warnings) or None,
     )
 
 

@@ -22,6 +22,7 @@ from engine.core.commands import (
     SignPosition,
 )
 from engine.core.reference import ReferenceMoment
+from engine.core.sentences import say
 from engine.core.signals import HeadDirection
 from service.core.errors import BoundError, PictureMissingError
 from service.core.schemas import sessions
@@ -278,7 +279,7 @@ class SessionRunner:
     def hold_unattended(self, session_id: str, armed_by: str) -> None:
         """Hold as an operator does, because the login or key of the person who armed has ended."""
         detail: dict[str, object] = {
-            "reason": f"{armed_by} armed the gate and is not logged in any more",
+            "reason": say("{armed_by} armed the gate and is not logged in any more", armed_by=armed_by),
             "armed_by": armed_by,
         }
         self._commander.execute(session_id, HoldBeam(operator=audit.SYSTEM), audit.SYSTEM, "session.hold", detail)
@@ -395,7 +396,7 @@ class SessionRunner:
         running = self._equipment.of(session_id)
         found = None if running is None else running.engine.picture()
         if found is None:
-            msg = "the session does not run, or no frame has come yet"
+            msg = say("the session does not run, or no frame has come yet")
             raise PictureMissingError(msg)
         frame_index, color = found
         picture = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)

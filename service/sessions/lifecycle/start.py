@@ -13,6 +13,7 @@ from engine.control import LoopStatus
 from engine.core.errors import TidegateError
 from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_patient
 from engine.core.reference import read_first_reference
+from engine.core.sentences import say
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
@@ -252,7 +253,7 @@ def _reason(error: Exception) -> str:
 def _model_detail(model_id: str | None) -> dict[str, object]:
     if model_id is None:
         return {}
-    return {"model_id": model_id, "reference": "not carried over from the earlier session: a person has to set it"}
+    return {"model_id": model_id, "reference": say("not carried over from the earlier session: a person has to set it")}
 
 
 def writer_connections(database: Database) -> Database:

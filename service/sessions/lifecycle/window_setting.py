@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from engine.control import LiveView
 from engine.core.errors import CommandRefusedError, InvalidValueError, ReferenceDistanceError
+from engine.core.sentences import say
 from engine.gating import GateLimits, SetWindow
 from service.core.errors import BoundError
 from service.core.schemas import sessions
@@ -45,7 +46,7 @@ def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, 
         The drift is not known now, or is another by now.
     """
     if view is None:
-        raise CommandRefusedError("no frame has come yet")
+        raise CommandRefusedError(say("no frame has come yet"))
     choice = view.window.choices[0]
     unit, tolerance = choice.unit, TOLERANCE_MM * choice.per_mm
     if request.unit != unit:
@@ -57,9 +58,16 @@ def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, 
         raise _broken(f"by_{unit}", request.by, f"from 0 to the drift that was seen ({request.drift_seen:g})")
     drift = known_drift(view)
     if drift is None:
-        raise CommandRefusedError("the drift of the baseline is not known now: let the patient breathe, and look again")
+        raise CommandRefusedError(
+            say("the drift of the baseline is not known now: let the patient breathe, and look again")
+        )
     if abs(drift - request.drift_seen) > tolerance:
-        msg = f"the drift is {drift:.2f} {unit} by now, not {request.drift_seen:g}: look again"
+        msg = say(
+            "the drift is {drift:.2f} {unit} by now, not {drift_seen:g}: look again",
+            drift=drift,
+            unit=unit,
+            drift_seen=request.drift_seen,
+        )
         raise CommandRefusedError(msg)
 
 

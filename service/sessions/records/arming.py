@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 from engine.capture import SourceDescription
 from engine.core.errors import TidegateError
+from engine.core.sentences import listed, say, word
 from engine.core.signals import depends_on_head
 from service.core.schemas.gate import ArmingItem, ArmingSummary
 from service.core.schemas.records import Model
+from service.core.schemas.sentences import sentence_parts
 from service.core.schemas.sessions import SessionDetail
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
@@ -22,9 +24,9 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 
 REFERENCE_SET = "session.reference"
-NO_PREDICTION = "not compared with free breathing: see that its edges are those of a held breath"
-NOT_COMPARED = "a recording does not say which camera made it: see that the calibration is that camera's"
-NO_QA = "no QA is required here"
+NO_PREDICTION = say("not compared with free breathing: see that its edges are those of a held breath")
+NOT_COMPARED = say("a recording does not say which camera made it: see that the calibration is that camera's")
+NO_QA = say("no QA is required here")
 POSITION_OK = {"first_fraction", "signed"}
 
 
@@ -55,6 +57,7 @@ class ArmingSummaries:
             session_id=session_id,
             is_ready=all(item.state != "missing" for item in items),
             items=items,
+            sentences=sentence_parts(items),
             window=detail.window,
             gate_window=detail.gate_window,
             predicted_duty_percent=detail.predicted_duty_percent,
@@ -80,22 +83,24 @@ class ArmingSummaries:
     def _model(self, detail: SessionDetail, running: RunningSession | None) -> ArmingItem:
         learning = None if running is None else running.engine.status.learning
         if learning is None or learning.model is None:
-            return ArmingItem(code="model", state="missing", text="no motion model yet: wait for the training to end")
+            return ArmingItem(
+                code="model", state="missing", text=say("no motion model yet: wait for the training to end")
+            )
         if learning.model_shortcoming is not None:
             return ArmingItem(code="model", state="missing", text=learning.model_shortcoming)
         if detail.active_model_id is None:
-            return ArmingItem(code="model", state="attention", text="in use, not stored yet")
+            return ArmingItem(code="model", state="attention", text=say("in use, not stored yet"))
         return ArmingItem(code="model", state="ok", text=_model_text(self.models.get(detail.active_model_id)))
 
     def _reference(self, detail: SessionDetail) -> ArmingItem:
         if not detail.has_reference:
-            return ArmingItem(code="reference", state="missing", text="not set: set it and look at its level")
-        parts = [self._confirmed(detail.id), None if detail.reference is None else detail.reference.text]
+            return ArmingItem(code="reference", state="missing", text=say("not set: set it and look at its level"))
+        parts = [self._confirmed(detail.id), "" if detail.reference is None else detail.reference.text]
         is_beyond = detail.reference is not None and detail.reference.is_beyond
         return ArmingItem(
             code="reference",
             state="attention" if is_beyond else "ok",
-            text="; ".join(part for part in parts if part) or "set",
+            text=listed("; ", parts) or say("set"),
         )
 
     def _confirmed(self, session_id: str) -> str:
@@ -106,82 +111,102 @@ class ArmingSummaries:
                 return ""
             made = json.loads(row.detail)
             by, at = row.actor, row.at
-        moment = {"end_exhale": "end of exhale", "end_inhale": "end of inhale"}.get(made["at"], "present position")
-        shown = made.get("proposed")
-        seen = (
-            "" if shown is None else f" of {shown['breaths']} breaths, scatter {shown['scatter']:.2f} {shown['unit']}"
+        moment = {"end_exhale": say("end of exhale"), "end_inhale": say("end of inhale")}.get(
+            made["at"], say("present position")
         )
-        return f"{moment}{seen}, set by {by} at {at[11:16]} UTC"
+        shown = made.get("proposed")
+        if shown is not None:
+            moment = say(
+                "{moment} of {breaths} breaths, scatter {scatter:.2f} {unit}",
+                moment=moment,
+                breaths=shown["breaths"],
+                scatter=shown["scatter"],
+                unit=shown["unit"],
+            )
+        return listed(", ", (moment, say("set by {by} at {at} UTC", by=by, at=at[11:16])))
 
     def _window(self, detail: SessionDetail) -> ArmingItem:
         unresolved = detail.gate_window is None or any(one.unit == "percent" for one in detail.gate_window.conditions)
         if unresolved:
-            return ArmingItem(code="window", state="missing", text="in per cent of a range that is not known yet")
+            return ArmingItem(code="window", state="missing", text=say("in per cent of a range that is not known yet"))
         duty = detail.predicted_duty_percent
         if duty is None:
             return ArmingItem(code="window", state="attention", text=NO_PREDICTION)
-        text = f"{duty:.0f} % of the learned breaths lie inside"
+        text = say("{duty:.0f} % of the learned breaths lie inside", duty=duty)
         if duty > self.settings.max_duty_percent:
-            bound = f"at most {self.settings.max_duty_percent:g} % may: set a narrower window"
-            return ArmingItem(code="window", state="missing", text=f"{text}; {bound}")
+            bound = say(
+                "at most {max_duty_percent:g} % may: set a narrower window",
+                max_duty_percent=self.settings.max_duty_percent,
+            )
+            return ArmingItem(code="window", state="missing", text=say("{text}; {bound}", text=text, bound=bound))
         return ArmingItem(code="window", state="ok" if duty > 0.0 else "attention", text=text)
 
     def _checks(self, detail: SessionDetail) -> ArmingItem:
         """Say which checks of the measurement cannot work; a site that needs all of them holds the beam for one."""
         silent = [one for one in detail.checks if one.state != "on"]
         if not detail.checks:
-            return ArmingItem(code="checks", state="attention", text="not known before the reference is set")
+            return ArmingItem(code="checks", state="attention", text=say("not known before the reference is set"))
         if not silent:
-            return ArmingItem(code="checks", state="ok", text=", ".join(one.name for one in detail.checks))
-        return ArmingItem(code="checks", state="attention", text="; ".join(f"{one.name}: {one.text}" for one in silent))
+            return ArmingItem(code="checks", state="ok", text=listed(", ", (word(one.name) for one in detail.checks)))
+        return ArmingItem(
+            code="checks",
+            state="attention",
+            text=listed("; ", (listed(": ", (word(one.name), one.text)) for one in silent)),
+        )
 
     def _site(self, running: RunningSession | None) -> ArmingItem:
         try:
             self.refuse_arming(None if running is None else running.engine.status.source)
         except TidegateError as error:
-            return ArmingItem(code="site", state="missing", text=str(error))
+            return ArmingItem(code="site", state="missing", text=error.args[0] if error.args else str(error))
         if self.settings.qa_required_daily_h == 0.0:
             return ArmingItem(code="site", state="attention", text=NO_QA)
-        return ArmingItem(code="site", state="ok", text="QA and camera latency as this site requires")
+        return ArmingItem(code="site", state="ok", text=say("QA and camera latency as this site requires"))
 
 
 def _plan(detail: SessionDetail) -> ArmingItem:
-    number = "" if detail.fraction_number is None else f" (no. {detail.fraction_number})"
-    imported = "" if detail.rt_plan_id is None else ", from an imported RT Plan"
-    return ArmingItem(
-        code="plan", state="ok", text=f"{detail.plan_id}, fraction {detail.fraction_id}{number}{imported}"
+    fraction = listed(
+        " ",
+        (
+            say("{plan_id}, fraction {fraction_id}", plan_id=detail.plan_id, fraction_id=detail.fraction_id),
+            "" if detail.fraction_number is None else say("(no. {number})", number=detail.fraction_number),
+        ),
     )
+    imported = "" if detail.rt_plan_id is None else say("from an imported RT Plan")
+    return ArmingItem(code="plan", state="ok", text=listed(", ", (fraction, imported)))
 
 
 def _camera(detail: SessionDetail, running: RunningSession | None) -> ArmingItem:
     if running is None or detail.camera is None:
-        return ArmingItem(code="camera", state="missing", text="not open")
-    text = f"{detail.camera.name}, calibrated as {running.plan.calibration.camera}"
+        return ArmingItem(code="camera", state="missing", text=say("not open"))
+    text = say("{name}, calibrated as {camera}", name=detail.camera.name, camera=running.plan.calibration.camera)
     source = running.engine.status.source
     uncompared = None if source is not None and source.is_live else NOT_COMPARED
-    said = "; ".join(
-        filter(None, [detail.camera.warning, detail.calibration_warning, detail.source_warning, uncompared])
+    warnings = listed(
+        "; ", filter(None, [detail.camera.warning, detail.calibration_warning, detail.source_warning, uncompared])
     )
-    return ArmingItem(code="camera", state="attention" if said else "ok", text=f"{text}: {said}" if said else text)
+    return ArmingItem(code="camera", state="attention" if warnings else "ok", text=listed(": ", (text, warnings)))
 
 
 def _head(detail: SessionDetail, running: RunningSession | None) -> ArmingItem:
     if detail.head_direction is not None:
-        text = f"at the {detail.head_direction} of the picture: arming confirms it"
+        text = say(
+            "at the {head_direction} of the picture: arming confirms it", head_direction=word(detail.head_direction)
+        )
         return ArmingItem(code="head_direction", state="ok", text=text)
     view = None if running is None else running.engine.status.view
     if view is not None and any(depends_on_head(choice) for choice in view.window.choices):
-        text = "unknown: create the session with it, or gate on whole or volume"
+        text = say("unknown: create the session with it, or gate on whole or volume")
         return ArmingItem(code="head_direction", state="missing", text=text)
-    return ArmingItem(code="head_direction", state="ok", text="unknown; not needed for this window")
+    return ArmingItem(code="head_direction", state="ok", text=say("unknown; not needed for this window"))
 
 
 def _view(detail: SessionDetail) -> ArmingItem:
     texts = {
-        "measuring": "the patient is measured",
-        "training": "still training",
-        "lost": "the patient is not visible",
-        None: "no picture yet",
+        "measuring": say("the patient is measured"),
+        "training": say("still training"),
+        "lost": say("the patient is not visible"),
+        None: say("no picture yet"),
     }
     state = "ok" if detail.measurement_state == "measuring" else "missing"
     body = None if detail.body is None else detail.body.warning
@@ -191,22 +216,27 @@ def _view(detail: SessionDetail) -> ArmingItem:
 
 
 def _model_text(model: Model) -> str:
-    made = f"model {model.number} of {model.created_at:%H:%M} UTC"
+    parts = [say("model {number} of {created_at:%H:%M} UTC", number=model.number, created_at=model.created_at)]
     if model.training_frames is not None and model.cycles is not None:
-        made += f", learned from {model.training_frames} frames, {model.cycles} breaths"
-    if model.quality is None:
-        return made
-    quality = model.quality
-    return (
-        f"{made}; breathing {quality.amplitude_mm:.1f} mm, {100.0 * quality.explained_share:.1f} % explained, "
-        f"residual {quality.residual_mm:.2f} mm"
-    )
+        parts.append(
+            say("learned from {frames} frames, {cycles} breaths", frames=model.training_frames, cycles=model.cycles)
+        )
+    if model.quality is not None:
+        parts.append(
+            say(
+                "breathing {amplitude_mm:.1f} mm, {explained:.1f} % explained, residual {residual_mm:.2f} mm",
+                amplitude_mm=model.quality.amplitude_mm,
+                explained=100.0 * model.quality.explained_share,
+                residual_mm=model.quality.residual_mm,
+            )
+        )
+    return listed("; ", parts)
 
 
 def _position(detail: SessionDetail) -> ArmingItem:
     found = detail.position_check
     if found is None:
-        return ArmingItem(code="position", state="missing", text="not known until a frame was decided on")
+        return ArmingItem(code="position", state="missing", text=say("not known until a frame was decided on"))
     return ArmingItem(code="position", state="ok" if found.status in POSITION_OK else "missing", text=found.text)
 
 
@@ -216,22 +246,38 @@ def _countersignature(running: RunningSession | None) -> Iterator[ArmingItem]:
     if found is None or not found.is_required:
         return
     if found.signed_by is None:
-        text = "a second person looks at window and reference, and signs"
+        text = say("a second person looks at window and reference, and signs")
         yield ArmingItem(code="countersignature", state="missing", text=text)
     else:
-        yield ArmingItem(code="countersignature", state="ok", text=f"{found.signed_by}; another person arms")
+        yield ArmingItem(
+            code="countersignature", state="ok", text=say("{signed_by}; another person arms", signed_by=found.signed_by)
+        )
 
 
 def _gate(detail: SessionDetail) -> ArmingItem:
     gate = detail.gate
     if gate is None:
-        return ArmingItem(code="gate", state="missing", text=f"the session is {detail.status}: it must be running")
+        return ArmingItem(
+            code="gate",
+            state="missing",
+            text=say("the session is {status}: it must be running", status=word(detail.status)),
+        )
     if gate.is_armed:
-        return ArmingItem(code="gate", state="missing", text=f"armed already, by {gate.armed_by or 'unknown'}")
+        return ArmingItem(
+            code="gate",
+            state="missing",
+            text=say("armed already, by {armed_by}", armed_by=gate.armed_by or say("unknown")),
+        )
     if gate.state == "fault":
-        return ArmingItem(code="gate", state="missing", text=f"a fault is latched ({gate.hold_text}): acknowledge it")
+        return ArmingItem(
+            code="gate",
+            state="missing",
+            text=say("a fault is latched: acknowledge it"),
+        )
     if gate.operator_holds:
-        holders = ", ".join(gate.operator_holds)
-        return ArmingItem(code="gate", state="attention", text=f"held by {holders}: armed, it stays held")
-    line = "SIMULATED beam line" if detail.is_simulated_beam else "beam line"
-    return ArmingItem(code="gate", state="ok", text=f"{line}, disarmed")
+        holders = listed(", ", gate.operator_holds)
+        return ArmingItem(
+            code="gate", state="attention", text=say("held by {holders}: armed, it stays held", holders=holders)
+        )
+    line = say("SIMULATED beam line") if detail.is_simulated_beam else say("beam line")
+    return ArmingItem(code="gate", state="ok", text=say("{line}, disarmed", line=line))

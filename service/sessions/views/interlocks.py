@@ -6,6 +6,7 @@ What the gate rests on: each check of the measurement, for people.
 from engine.control import LiveView
 from engine.core.clock import US_PER_S
 from engine.core.gate_state import INTERLOCKS, HoldReason
+from engine.core.sentences import say
 from engine.gating import SEES_TOO_LITTLE, Check, CheckState
 from service.core.alarm_table import HOLD_TEXTS
 from service.core.schemas.gate import Interlock, InterlockList, InterlockSetting
@@ -52,13 +53,13 @@ def _bound(name: str, kind: str) -> float | None:
 
 
 WORKS = {
-    Check.SURFACE: "the surface is compared with breathing",
-    Check.COLOR: "the colour of the region is compared",
-    Check.CAMERA: "couch and floor are compared",
+    Check.SURFACE: say("the surface is compared with breathing"),
+    Check.COLOR: say("the colour of the region is compared"),
+    Check.CAMERA: say("couch and floor are compared"),
 }
-MARKERS = ("the markers' positions are compared", "the markers' positions are not compared")
-CLOCK = ("the age of the pictures is known", "the age of the pictures is not known")
-PLAYED = "a recording: the age of its pictures means nothing"
+MARKERS = (say("the markers' positions are compared"), say("the markers' positions are not compared"))
+CLOCK = (say("the age of the pictures is known"), say("the age of the pictures is not known"))
+PLAYED = say("a recording: the age of its pictures means nothing")
 
 
 def live_checks(view: LiveView) -> list[LiveCheck]:

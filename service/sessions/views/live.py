@@ -28,6 +28,7 @@ from service.core.schemas.live_messages import (
     LiveTraining,
     Sample,
 )
+from service.core.schemas.sentences import sentence_parts
 from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.calibrations import kind_of, serial_warning
 from service.sessions.views.breath import live_breath, live_breath_hold, live_window
@@ -44,7 +45,7 @@ def live_sample(
 ) -> Sample:
     """Make the live message of a view; the stream fills in sequence number, send time and age."""
     record, measurement = view.record, view.record.measurement
-    return Sample(
+    sample = Sample(
         sequence=0,
         sent_at=NEVER,
         age_ms=0.0,
@@ -85,6 +86,7 @@ def live_sample(
         missed_frames=view.missed_frames,
         latency_ms=_latency(view),
     )
+    return sample.model_copy(update={"sentences": sentence_parts(sample)})
 
 
 def body_view(match: BodyMatch | None) -> sessions.BodyView | None:

@@ -7,6 +7,7 @@ from engine.control import LiveView, PositionState
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import Degree, PositionCheck, PositionTolerance
 from engine.core.reference import ReferenceDistance, ReferenceMoment, ReferenceProposal
+from engine.core.sentences import say
 from service.core.schemas.base import rounded_or_none
 from service.core.schemas.live_messages import LiveDegree, LivePositionCheck, LiveReference
 from service.core.schemas.sessions import ReferenceProposalView
@@ -14,8 +15,8 @@ from service.core.settings.settings import Settings
 from service.engine_host.roles import SessionPlan
 
 DIGITS = 2
-FIRST_FRACTION = "first fraction of the plan: the confirmed reference becomes the plan's position"
-NO_REFERENCE = "set the reference: its position is then compared with the plan's"
+FIRST_FRACTION = say("first fraction of the plan: the confirmed reference becomes the plan's position")
+NO_REFERENCE = say("set the reference: its position is then compared with the plan's")
 
 
 def tolerance_of(settings: Settings) -> PositionTolerance:
@@ -62,10 +63,16 @@ def position_text(found: PositionState) -> str:
     if found.reference_number is None:
         return NO_REFERENCE
     if found.lapse:
-        return f"position to be taken again: {found.lapse}"
-    place = f"not within the tolerance ({', '.join(found.shortcomings)})" if found.shortcomings else "within tolerance"
-    signed = "not signed" if found.signature is None else f"signed by {found.signature.operator}"
-    return f"position {place}, {signed}"
+        return say("position to be taken again: {lapse}", lapse=found.lapse)
+    place = (
+        say("not within the tolerance ({shortcomings})", shortcomings=", ".join(found.shortcomings))
+        if found.shortcomings
+        else say("within tolerance")
+    )
+    signed = (
+        say("not signed") if found.signature is None else say("signed by {operator}", operator=found.signature.operator)
+    )
+    return say("position {place}, {signed}", place=place, signed=signed)
 
 
 def _status(found: PositionState) -> str:
@@ -122,8 +129,8 @@ def live_reference(view: LiveView) -> LiveReference | None:
 def reference_text(found: ReferenceDistance) -> str:
     """Return the distance as it is displayed."""
     if found.distance_mm is None:
-        return "reference at an unknown distance from the fraction's first"
-    return f"reference {found.distance_mm:.1f} mm from the fraction's first"
+        return say("reference at an unknown distance from the fraction's first")
+    return say("reference {distance_mm:.1f} mm from the fraction's first", distance_mm=found.distance_mm)
 
 
 def _rounded(value: float | None) -> float | None:

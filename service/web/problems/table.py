@@ -11,9 +11,11 @@ from starlette.exceptions import HTTPException
 from engine.control import JournalError
 from engine.core import errors as engine_errors
 from engine.core.errors import TidegateError
+from engine.core.sentences import Sentence
 from service.core import errors
 from service.core.errors import SHOWN_CHARACTERS, shown
 from service.core.schemas.base import BrokenBound, Problem
+from service.core.schemas.sentences import sentence_parts
 from service.planning.rt_plan import errors as plan_errors
 
 PROBLEM_TYPE = "urn:tidegate:problem:"
@@ -148,7 +150,8 @@ def _table_problem(error: Exception, status: int, title: str) -> Problem:
         return _problem(status, STORAGE_CODE, title, "The request may have been carried out: check, then retry.")
     code = error.code if isinstance(error, TidegateError) else "error"
     found = {name: getattr(error, name, None) for name in ("field", "value", "bound")}
-    return _problem(status, code, title, str(error), **found)
+    said = error.args[0] if error.args and isinstance(error.args[0], Sentence) else str(error)
+    return _problem(status, code, title, said, **found)
 
 
 def _http_problem(error: HTTPException) -> Problem:
@@ -212,6 +215,7 @@ def _problem(
         title=title,
         status=status,
         detail=detail,
+        sentences=sentence_parts(detail) or None,
         code=code,
         field=field,
         value=value,

@@ -83,7 +83,7 @@ def test_only_a_lost_camera_that_delivers_again_is_stated_to_be_back():
     bench.source.script += [after(look), after(lambda: bench.loop.report_fault(HoldReason.DISK_LOW, "10 MB left"))]
     bench.source.script += [good, after(look), after(bench.ask(Acknowledge(operator="bob"))), away, good, after(look)]
     bench.run()
-    assert [view.detail for view in seen] == ["", "10 MB left", "unplugged" + BACK_DETAIL]
+    assert [view.detail for view in seen] == ["", "10 MB left", f"unplugged; {BACK_DETAIL}"]
 
 
 def test_a_view_without_a_frame_has_the_gate_of_now():

@@ -277,5 +277,5 @@ def test_a_loss_names_each_marker_that_is_not_seen():
         for number, seen in ((2, (0, 1, 3)), (3, (1, 3)), (4, []))
     )
     assert three == "3 of 4 markers found: the inferior left marker is hidden or gone"
-    assert two == "2 of 4 markers found: the superior right and the inferior left markers are hidden or gone"
+    assert two == "2 of 4 markers found: markers hidden or gone: superior right, inferior left"
     assert none == "0 of 4 markers found: no marker is near its last position"

@@ -15,6 +15,7 @@ from engine.core.learning_status import LearningEventKind
 from service.core.alarm_table import ALARMS
 from service.web.app import DASHBOARD, LANGUAGE_LIST, language_names, language_route
 from tests.support.documents.audit_routes import audited
+from tests.support.documents.sentences import PREFIX, templates
 
 LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
 ENGLISH = LANGUAGES["en"]
@@ -30,6 +31,7 @@ MADE_OF = {
         "arming.group.",
         "qa.",
         "role.",
+        PREFIX,
         "scope.",
         "checks.",
         "event.",
@@ -95,6 +97,17 @@ def test_every_event_of_a_session_has_its_sentence(name: str):
 def test_german_sentences_of_reasons_are_not_the_english_ones():
     parts = [key for key in ENGLISH if key.startswith("hold.")]
     assert [key for key in parts if LANGUAGES["de"][key] == ENGLISH[key]] == []
+
+
+def test_every_sentence_of_the_controller_is_in_the_language_files_and_none_that_there_is_not():
+    """``python -m tests.support.documents.sentences --write`` adds and removes them."""
+    assert {key.removeprefix(PREFIX) for key in ENGLISH if key.startswith(PREFIX)} == templates()
+
+
+def test_sentences_of_the_controller_are_german_but_for_those_that_are_alike():
+    said = [key for key in ENGLISH if key.startswith(PREFIX) and len(key.split()) > 3]
+    assert len(said) > 250
+    assert [key for key in said if LANGUAGES["de"][key] == ENGLISH[key]] == []
 
 
 def used() -> set[str]:

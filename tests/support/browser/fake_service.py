@@ -30,7 +30,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import service
+from engine.core.sentences import listed, say, word
 from service.core.permissions import Role, permissions_of
+from service.core.schemas.sentences import sentence_parts
 from service.web.app import LANGUAGE_LIST, language_names
 from tests.support.waiting import eventually
 
@@ -233,6 +235,19 @@ def checks(**states: str) -> list[dict[str, Any]]:
     ]
 
 
+def spoken(*texts: str) -> list[dict[str, Any]]:
+    """Return what the sentences in these texts were made from, as answers have it."""
+    return [one.model_dump() for one in sentence_parts(*texts)]
+
+
+OUTSIDE = say(
+    "{value} {unit} is not inside {edges}",
+    value="4.10",
+    unit="mm",
+    edges=say("{lower} to {upper} {unit}", lower=-1, upper=3, unit="mm"),
+)
+
+
 def sample(**changes: Any) -> dict[str, Any]:
     """Return a sample of a running, armed session in hold; `changes` say what is different."""
     holder = changes.get("operator_hold")
@@ -254,7 +269,8 @@ def sample(**changes: Any) -> dict[str, Any]:
         "gate": "hold",
         "hold_reason": "outside_window",
         "hold_text": "Outside the window",
-        "hold_detail": "4.10 mm is not inside -1 to 3 mm",
+        "hold_detail": OUTSIDE,
+        "sentences": spoken(changes.get("hold_detail", OUTSIDE)),
         "operator_hold": None,
         "operator_holds": [] if holder is None else [holder],
         "line_on": False,
@@ -345,21 +361,40 @@ def api_key(name: str, *scopes: str, **changes: Any) -> dict[str, Any]:
 
 def arming(**missing: str) -> dict[str, Any]:
     """Return what would be armed; ``missing`` are texts of the parts that keep it from being armed."""
+    plan = say("{plan_id}, fraction {fraction_id}", plan_id="PLAN-LUNG-4", fraction_id="FX-03")
+    level = say(
+        "{moment} of {breaths} breaths, scatter {scatter:.2f} {unit}",
+        moment=say("end of exhale"),
+        breaths=4,
+        scatter=0.21,
+        unit="mm",
+    )
+    confirmed = listed(", ", (level, say("set by {by} at {at} UTC", by="A. Therapist", at="08:32")))
+    model = (
+        say("model {number} of {created_at} UTC", number=1, created_at="08:31"),
+        say("learned from {frames} frames, {cycles} breaths", frames=312, cycles=4),
+        say(
+            "breathing {amplitude_mm:.1f} mm, {explained:.1f} % explained, residual {residual_mm:.2f} mm",
+            amplitude_mm=9.0,
+            explained=99.1,
+            residual_mm=0.41,
+        ),
+    )
     texts = {
         "patient": "P-0117",
-        "plan": "PLAN-LUNG-4, fraction FX-03 (no. 3)",
-        "camera": "Xtion, calibrated as Xtion 03",
-        "head_direction": "at the top of the picture: arming confirms it",
+        "plan": listed(" ", (plan, say("(no. {number})", number=3))),
+        "camera": say("{name}, calibrated as {camera}", name="Xtion", camera="Xtion 03"),
+        "head_direction": say("at the {head_direction} of the picture: arming confirms it", head_direction=word("top")),
         "view": "the patient is measured",
-        "model": "model 1 of 08:31 UTC, learned from 312 frames, 4 breaths; breathing 9.0 mm, 99.1 % explained, "
-        "residual 0.41 mm",
-        "reference": "end of exhale of 4 breaths, scatter 0.21 mm, set by A. Therapist at 08:32 UTC; reference 0.0 mm "
-        "from the fraction's first",
-        "window": "38 % of the learned breaths lie inside",
+        "model": listed("; ", model),
+        "reference": listed(
+            "; ", (confirmed, say("reference {distance_mm:.1f} mm from the fraction's first", distance_mm=0.0))
+        ),
+        "window": say("{duty:.0f} % of the learned breaths lie inside", duty=38.0),
         "position": "first fraction of the plan: the confirmed reference becomes the plan's position",
-        "checks": "surface, color, camera, markers, clock",
+        "checks": listed(", ", map(word, ("surface", "color", "camera", "markers", "clock"))),
         "site": "QA and camera latency as this site requires",
-        "gate": "SIMULATED beam line, disarmed",
+        "gate": say("{line}, disarmed", line=say("SIMULATED beam line")),
     } | missing
     items = [
         {"code": code, "state": "missing" if code in missing else "ok", "text": text} for code, text in texts.items()
@@ -368,6 +403,7 @@ def arming(**missing: str) -> dict[str, Any]:
         "session_id": SESSION_ID,
         "is_ready": not missing,
         "items": items,
+        "sentences": spoken(*texts.values()),
         "needs_reason": False,
         "state": "5e" * 16,
     }

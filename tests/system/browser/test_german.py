@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.support.browser.fake_service import DASHBOARD, FakeService, alarm, over, sample
+from engine.core.sentences import Sentence, say
+from tests.support.browser.arming import press_arm
+from tests.support.browser.fake_service import DASHBOARD, FakeService, alarm, over, sample, spoken
 from tests.support.browser.legibility import STATES
 from tests.support.browser.tab import Tab
 
@@ -18,6 +20,7 @@ TRANSLATED = {text.strip() for key, text in ENGLISH.items() if text != GERMAN[ke
     text.strip() for text in GERMAN.values()
 }
 """English texts that German words otherwise."""
+DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 ALLOWED = {"English", "Deutsch", "End", "physicist", "admin"}
 """Names of languages, of a key, and of roles."""
 
@@ -80,6 +83,40 @@ def test_no_english_logged_out(fake: FakeService, own_tab: Tab):
     page = open_german(own_tab, "out")
     expect(page.locator("#access")).to_be_visible()
     assert english_on(page) == set()
+
+
+def test_what_the_controller_says_with_values_is_german_too(fake: FakeService, own_tab: Tab):
+    fake.mode, fake.sample = "samples", sample()
+    page = open_german(own_tab, "hold")
+    expect(page.locator("#gate-detail")).to_have_text("4.10 mm liegt nicht in \N{MINUS SIGN}1 bis 3 mm")
+    fake.sample = DISARMED
+    own_tab.sees("disarmed")
+    page.click("#do-arm")
+    model = (
+        "Modell 1 von 08:31 UTC; gelernt aus 312 Bildern, 4 Atemzügen; "
+        "Atmung 9.0 mm, 99.1 % erklärt, Restfehler 0.41 mm"
+    )
+    expect(page.locator("#arming-items [data-code=model] dd")).to_have_text(model)
+    expect(page.locator("#arming-items [data-code=head_direction] dd")).to_have_text(
+        "oben im Bild: das Scharfschalten bestätigt es"
+    )
+    expect(page.locator("#arming-items [lang=en]")).to_have_count(0)
+
+
+def test_a_refusal_of_the_controller_is_german_too(fake: FakeService, own_tab: Tab):
+    refused = say("the newest frame is {age_ms:.0f} ms old: see to the camera", age_ms=412.0)
+    fake.mode, fake.sample = "samples", DISARMED
+    fake.problem = (409, {"code": "command_refused", "detail": refused, "sentences": spoken(refused)})
+    page = open_german(own_tab, "disarmed")
+    press_arm(page)
+    expect(page.locator("#outcome")).to_contain_text("das neueste Bild ist 412 ms alt: nach der Kamera sehen")
+
+
+def test_a_sentence_that_german_lacks_is_english_and_marked(fake: FakeService, own_tab: Tab):
+    unknown = Sentence("5 things of a newer controller", "{n} things of a newer controller", {"n": "5"})
+    fake.mode, fake.sample = "samples", sample(hold_detail=unknown)
+    page = open_german(own_tab, "hold")
+    expect(page.locator("#gate-detail [lang=en]")).to_have_text(str(unknown))
 
 
 @pytest.mark.parametrize("code", ["a_new_reason", "", "<b>x</b>"])

@@ -1,6 +1,6 @@
-"""A third language is one file: with it, no letter on the page is of another, but for names and what the service says.
+"""A third language is one file: with it, no letter on the page is of another, but for names.
 
-What the service says in its own language (reasons with figures, refusals) is marked with ``lang="en"``.
+Texts of the service that no language file has (notes of devices and files) are marked with ``lang="en"``.
 """
 
 import json

@@ -1,7 +1,7 @@
 /** All HTTP calls of the page. A problem (RFC 9457) becomes an ApiError whose message includes field and bound. */
 
 import { said } from "./drawing/elements.js";
-import { tr } from "./words/words.js";
+import { learnSentences, tr } from "./words/words.js";
 
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
@@ -9,6 +9,7 @@ const PRESENCE_TIMEOUT_MS = 2000;
 
 export class ApiError extends Error {
   constructor(status, problem) {
+    learnSentences(problem.sentences);
     super(sentence(status, problem));
     this.name = "ApiError";
     this.status = status;
@@ -154,6 +155,7 @@ export async function readArming(id) {
   const response = await send("GET", `${session(id)}/arming`, undefined, {});
   const answer = await response.json().catch(() => null);
   if (!response.ok) throw new ApiError(response.status, answer ?? {});
+  learnSentences(answer?.sentences);
   return { answer, etag: response.headers.get("ETag") };
 }
 /** `reason` may be empty; beyond the budget from the fraction's first armed window it may not. */

@@ -9,6 +9,7 @@ from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.supervision.checks import Check, CheckState
 from service.core.errors import QaOverdueError
+from tests.support.documents.sentences import templates
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.clinical_site import clinical_settings
 from tests.support.service.fake_engine import make_model
@@ -53,6 +54,15 @@ def test_every_part_is_named_once_and_in_order(client, session_id, measuring):
         "site",
         "gate",
     ]
+
+
+def test_every_line_but_names_is_a_sentence_that_can_be_translated(client, session_id, measuring):
+    found = summary(client, session_id).json()
+    parts = {one["text"]: one["template"] for one in found["sentences"]}
+    known = templates() | {"{part0}, {part1}", "{part0}; {part1}", "{part0} {part1}", "{part0}: {part1}"}
+    assert [one["text"] for one in found["items"][1:] if parts.get(one["text"], one["text"]) not in known] == []
+    assert set(parts.values()) <= known
+    assert len(parts) >= 5
 
 
 def test_a_check_that_cannot_work_is_looked_at(client, session_id, measuring):

@@ -1,5 +1,7 @@
 /** Creates DOM elements; text is inserted as text, never as markup. */
 
+import { inLanguage } from "../words/words.js";
+
 export const byId = (id) => document.getElementById(id);
 
 /** What the service says in its own language is set off by the isolates of Unicode, and shown in an element that says so. */
@@ -7,9 +9,14 @@ const [OPEN, CLOSE] = ["\u2068", "\u2069"];
 const QUOTED = new RegExp(`${OPEN}([^${CLOSE}]*)${CLOSE}`);
 const shown = new WeakMap();
 
-/** Mark a text as the service's own, which no language file has. */
+/** A sentence of the service in the page's language; marked as the service's own where the language has none for it. */
 export function said(text) {
-  return text ? `${OPEN}${text}${CLOSE}` : "";
+  return text ? inLanguage(text) ?? `${OPEN}${text}${CLOSE}` : "";
+}
+
+/** A sentence's text with a capital letter at its beginning. */
+export function capitalized(text) {
+  return text.replace(/^\u2068?./u, (first) => first.toUpperCase());
 }
 
 export function part(name, text, className = "") {

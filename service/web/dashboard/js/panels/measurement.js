@@ -1,6 +1,6 @@
 /** The measurement panel: values of the newest fresh sample, a dash for values that were not measured. */
 
-import { part, said, setText } from "../drawing/elements.js";
+import { capitalized, part, said, setText } from "../drawing/elements.js";
 import { fixed, signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
@@ -51,7 +51,7 @@ function check({ name, state, seconds, text }) {
 /** Show how far the zero of the trace lies from the fraction's first reference; marked beyond the site's budget. */
 export function renderReference(reference) {
   const line = document.getElementById("reference-distance");
-  setText(line, reference ? `${said(capitalized(reference.text))}${parts(reference)}` : "");
+  setText(line, reference ? `${capitalized(said(reference.text))}${parts(reference)}` : "");
   line.dataset.bad = reference?.is_beyond ? "yes" : "no";
   line.title = reference?.distance_mm ? rotation(reference) : "";
 }
@@ -63,10 +63,6 @@ function parts(reference) {
 
 function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
   return tr("measurement.turn_tilt_shape_mm", { value: fixed(turn, 1), value2: fixed(tilt, 1), value3: fixed(shape, 1) });
-}
-
-function capitalized(text) {
-  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 /** Show permanently that a session uses the camera's built-in registration. */

@@ -4,7 +4,7 @@
  */
 
 import { readModel, readSpectrum } from "../api.js";
-import { byId, part, said } from "../drawing/elements.js";
+import { byId, capitalized, part, said } from "../drawing/elements.js";
 import { describe as describeWindow } from "../stream/gating_window.js";
 import { roomMoveOf } from "../stream/gate_state.js";
 import { needsReference } from "./training.js";
@@ -130,7 +130,7 @@ function cameraStep(sample, session) {
 
 function markersText(sample) {
   if (sample === null) return tr("steps.four_dots_on_the_chest_inside_the_picture");
-  return sample.state === "lost" ? `${sample.lost?.detail ? said(capitalized(sample.lost.detail)) : capitalized(tr("steps.not_found"))}.` : tr("steps.all_four_are_found_look_at_the_frame_on_the");
+  return sample.state === "lost" ? `${sample.lost?.detail ? capitalized(said(sample.lost.detail)) : capitalized(tr("steps.not_found"))}.` : tr("steps.all_four_are_found_look_at_the_frame_on_the");
 }
 
 function trainingText(sample, model) {
@@ -146,12 +146,8 @@ function referenceText(sample, session) {
   if (sample?.state !== "measuring") return tr("steps.the_end_of_exhale_of_the_last_breaths_confir");
   const move = roomMoveOf(sample);
   if (move !== null) return tr(`moved.${move.what}.what`, move);
-  if (session?.has_reference === true && !needsReference(sample, session)) return sample.reference?.text ? said(capitalized(sample.reference.text)) : tr("steps.is_set");
+  if (session?.has_reference === true && !needsReference(sample, session)) return sample.reference?.text ? capitalized(said(sample.reference.text)) : tr("steps.is_set");
   return tr("steps.read_the_proposed_level_above_the_buttons_th");
-}
-
-function capitalized(text) {
-  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 function line({ code, state, text }) {

@@ -4,7 +4,7 @@
  * Times are performance.now() [ms]: monotonic, so a set clock cannot make an old message look fresh.
  */
 
-import { tr } from "../words/words.js";
+import { learnSentences, tr } from "../words/words.js";
 
 export const SCHEMA = "tidegate.live/1";
 /** A frame older than this is stale [ms], so that the page is grey within 300 ms of it: what is old is noticed with the next drawing. */
@@ -143,6 +143,7 @@ export class LiveStream {
       this.problem = message.schema === this.schema ? "" : tr("live_stream.the_controller_speaks_this_page_reload_the_p", { schema: message.schema, schema2: this.schema });
       return;
     }
+    for (const one of [message, ...(message.active ?? [])]) learnSentences(one.sentences);
     if (this.problem === "" && message.type === "alarms") {
       this.alarmMessage = message;
       this.alarmsArrivedMs = performance.now();

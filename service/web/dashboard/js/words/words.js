@@ -52,6 +52,40 @@ export function keepLanguage(language) {
   localStorage.setItem(STORED, language);
 }
 
+const SENTENCES_KEPT = 500;
+/** Sentences within sentences are followed so far. */
+const DEEPEST = 6;
+/** What the controller's sentences were made from, the newest last: by the sentence in English, its template and values. */
+const sentences = new Map();
+
+/** Keep what sentences of an answer were made from. */
+export function learnSentences(parts) {
+  for (const { text, template, values } of parts ?? []) {
+    sentences.delete(text);
+    sentences.set(text, { template, values });
+  }
+  for (const text of sentences.keys()) {
+    if (sentences.size <= SENTENCES_KEPT) break;
+    sentences.delete(text);
+  }
+}
+
+/** @returns {string|null} a sentence of the controller in the page's language; null where the language has none for it */
+export function inLanguage(text, depth = 0) {
+  if (LANGUAGE === FALLBACK) return null;
+  const words = LANGUAGES[LANGUAGE];
+  const parts = sentences.get(text);
+  if (parts === undefined || depth > DEEPEST) return words[`say: ${text}`] ?? null;
+  const own = /\p{L}/u.test(parts.template.replace(/\{\w+\}/g, "")) ? words[`say: ${parts.template}`] : parts.template;
+  return own === undefined ? null : own.replace(/\{(\w+)\}/g, (_, name) => valueOf(String(parts.values[name] ?? ""), depth + 1));
+}
+
+/** A value of a sentence: a number, a sentence, a word or a code that has words, or a name as it is. */
+function valueOf(text, depth) {
+  if (/^[+-]?\d/.test(text) && !sentences.has(text)) return text.replace(/^-/, "−");
+  return inLanguage(text, depth) ?? (has(`hold.${text}.what`) ? tr(`hold.${text}.what`).replace(/\.$/, "") : text);
+}
+
 /** Whether the page's language, or English, has this key. */
 export function has(key) {
   return typeof LANGUAGES[FALLBACK][key] === "string" || typeof LANGUAGES[LANGUAGE][key] === "string";
