@@ -706,7 +706,7 @@ class RecordingSource(TypedDict):
 
     kind: Literal["recording"]
     path: str
-    player: NotRequired[Literal["openni", "reader", "auto"]]
+    player: NotRequired[Literal["openni", "reader", "repeated", "auto"]]
 
 
 class DeviceSource(TypedDict):

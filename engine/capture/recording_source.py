@@ -67,6 +67,8 @@ class OniFileSource:
         Deliver frames in the recording's own time instead of at once.
     sleep
         Sleeps for so many seconds; replaced in tests.
+    is_repeated
+        Begin again at the end, until it is closed; numbers and times go on.
     is_helped
         Decode colour on a thread beside the reader's; by default when not paced and on more than one core.
     """
@@ -77,12 +79,14 @@ class OniFileSource:
         *,
         clock: Clock,
         is_paced: bool = False,
+        is_repeated: bool = False,
         sleep: Callable[[float], None] = time.sleep,
         is_helped: bool | None = None,
     ) -> None:
         self._path = Path(path)
         self._clock = clock
         self._pace = _Pace(clock, sleep) if is_paced else None
+        self._is_repeated = is_repeated
         self._is_helped = not is_paced and len(os.sched_getaffinity(0)) > 1 if is_helped is None else is_helped
         self._helper: ThreadPoolExecutor | None = None
         self._reader: OniReader | None = None
@@ -106,7 +110,7 @@ class OniFileSource:
             description = _describe(reader)
             if self._is_helped:
                 self._helper = ThreadPoolExecutor(max_workers=1, thread_name_prefix="color-decoder")
-            self._frames = _decode(reader, self._helper)
+            self._frames = _decode(reader, self._coded(reader), self._helper)
             self._next = _first(reader, self._frames)
         except RecordingError:
             self.close()
@@ -144,6 +148,9 @@ class OniFileSource:
         self._reader = None
         self._next = None
         self._frames = iter(())
+
+    def _coded(self, reader: OniReader) -> Iterator[CodedFrame]:
+        return reader.repeated_frames() if self._is_repeated else reader.frames()
 
     def _upcoming(self) -> "_Decoded":
         """Decode the next frame before it is due."""
@@ -193,8 +200,10 @@ def _first(reader: OniReader, frames: Iterator[_Decoded]) -> _Decoded:
     return frame
 
 
-def _decode(reader: OniReader, helper: ThreadPoolExecutor | None) -> Iterator[_Decoded]:
-    pairs = _pair(reader) if helper is None else _begin_ahead(_pair(reader), helper)
+def _decode(reader: OniReader, frames: Iterator[CodedFrame], helper: ThreadPoolExecutor | None) -> Iterator[_Decoded]:
+    pairs = _pair(reader, frames)
+    if helper is not None:
+        pairs = _begin_ahead(pairs, helper)
     for coded, color in pairs:
         try:
             decoded = _Decoded(
@@ -231,7 +240,7 @@ def _begin_ahead(
         raise damage
 
 
-def _pair(reader: OniReader) -> Iterator[tuple[CodedFrame, _Color]]:
+def _pair(reader: OniReader, frames: Iterator[CodedFrame]) -> Iterator[tuple[CodedFrame, _Color]]:
     """Yield each depth frame with the colour frame nearest to it in time; a tie goes to the earlier.
 
     Pairs from before the damage are yielded first; then the damage is raised.
@@ -240,7 +249,7 @@ def _pair(reader: OniReader) -> Iterator[tuple[CodedFrame, _Color]]:
     colors: deque[_Color] = deque()
     damage: RecordingError | None = None
     try:
-        for coded in reader.frames():
+        for coded in frames:
             if coded.is_depth:
                 waiting.append(coded)
             else:

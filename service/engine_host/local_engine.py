@@ -185,10 +185,10 @@ class LocalEngine:
         return checked_camera(source, calibration, self._settings)
 
     def _player(self, path: Path, player: str) -> DepthSource:
-        played = None if player == "reader" else drivers.real_time_player(path, clock=self._clock)
+        played = None if player in {"reader", "repeated"} else drivers.real_time_player(path, clock=self._clock)
         if played is None and player == "openni":
             raise RuntimeMissingError(drivers.missing_text())
-        return played or OniFileSource(path, clock=self._clock, is_paced=True)
+        return played or OniFileSource(path, clock=self._clock, is_paced=True, is_repeated=player == "repeated")
 
 
 def _registered(uri: str | None, pinned: str) -> Calibration:

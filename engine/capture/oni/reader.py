@@ -8,7 +8,7 @@ Content of an ``.oni`` file, as returned by :func:`engine.capture.oni.reader.des
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -210,6 +210,24 @@ class OniReader:
                 yield counter.frame(record, stream, self.header, self._payload(record) if with_payload else b"")
         except (RecordingError, OSError) as error:
             raise self._named(error) from error
+
+    def repeated_frames(self) -> Iterator[CodedFrame]:
+        """Yield the frames again and again; numbers and times go on, with one period of depth at the seam.
+
+        A recording without depth frames ends; damage is raised as by `frames`, and nothing is repeated then.
+        """
+        numbers, shift_us = {True: 0, False: 0}, 0
+        while True:
+            last, depth_us = dict(numbers), []
+            for frame in self.frames():
+                last[frame.is_depth] = frame.frame_id + numbers[frame.is_depth]
+                if frame.is_depth:
+                    depth_us.append(frame.timestamp_us)
+                yield replace(frame, frame_id=last[frame.is_depth], timestamp_us=frame.timestamp_us + shift_us)
+            if not depth_us:
+                return
+            shift_us += depth_us[-1] - depth_us[0] + round(_US_PER_S / self.depth.fps)
+            numbers = last
 
     def close(self) -> None:
         """Close the file; safe to call twice."""

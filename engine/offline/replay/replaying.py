@@ -49,7 +49,7 @@ class Pictures:
 
     def __init__(self, path: Path, number_of: Callable[[FrameHead], int]) -> None:
         self._reader = OniReader(path)
-        self._coming: Iterator[CodedFrame] = self._reader.frames()
+        self._coming: Iterator[CodedFrame] = self._reader.repeated_frames()  # as far as the session went
         self._number_of = number_of
         self._ahead: deque[CodedFrame] = deque()
         self._colors: deque[CodedFrame] = deque(maxlen=COLORS_KEPT)

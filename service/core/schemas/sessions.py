@@ -36,9 +36,11 @@ class RecordingSource(Request):
     path: SourceText = Field(
         description="Absolute path, or relative to an allowed folder", examples=["demo/recording.oni"]
     )
-    player: Literal["openni", "reader", "auto"] = Field(
+    player: Literal["openni", "reader", "repeated", "auto"] = Field(
         default="auto",
-        description="The OpenNI2 runtime, Tidegate's reader, or the first of them that works; all in real time",
+        description="The OpenNI2 runtime, Tidegate's reader, or the first of them that works; all in real time."
+        " `repeated`: by the reader, again from the beginning at the end until the session is stopped; the signal jumps"
+        " at the seam",
     )
 
 

@@ -62,6 +62,28 @@ def test_every_depth_frame_is_delivered_once_with_its_pictures(tmp_path, opened)
     assert {frame.received_ns for frame in frames} == {77}
 
 
+def test_a_repeated_recording_begins_again_and_its_numbers_and_times_go_on(tmp_path, opened):
+    path = write_recording(tmp_path / "a.oni", frames=9, color_codec="NONE")
+    source = opened(path, is_repeated=True)
+    frames = [source.read(1.0) for _ in range(30)]
+    assert [frame.index for frame in frames] == list(range(30))
+    assert [frame.device_index for frame in frames] == list(range(1, 31))
+    assert np.diff([frame.timestamp_us for frame in frames]).tolist() == pytest.approx(
+        [PERIOD_US] * 29, rel=2e-3
+    )  # the nominal one at the seam
+    assert all(abs(frame.color_timestamp_us - frame.timestamp_us) < PERIOD_US for frame in frames)
+    assert all(np.array_equal(frame.depth_mm, depth_picture(i % 9)) for i, frame in enumerate(frames))
+    assert all(np.array_equal(frame.color, color_picture(i % 9)) for i, frame in enumerate(frames))
+    assert {frame.missed_frames for frame in frames} == {0}
+
+
+def test_a_repeated_recording_that_is_cut_ends_at_the_cut(tmp_path, opened):
+    path = write_recording(tmp_path / "a.oni", frames=9)
+    path.write_bytes(path.read_bytes()[:-2_000])
+    source = opened(path, is_repeated=True)
+    assert len(read_to_damage(source)) < 9
+
+
 def test_depth_gets_the_colour_nearest_in_time_before_or_after(tmp_path, opened):
     path = write_times(tmp_path / "a.oni", [0, 33_000, 66_000, 99_000], [10_000, 35_000, 60_000, 90_000, 110_000])
     assert [frame.color_timestamp_us for frame in read_all(opened(path))] == [10_000, 35_000, 60_000, 90_000]

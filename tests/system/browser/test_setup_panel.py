@@ -46,7 +46,7 @@ def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, 
                 "plan_id": "PLAN-9",
                 "fraction_id": "FX-1",
                 "fraction_number": 2,
-                "source": {"kind": "recording", "player": "auto", "path": "demo/recording.oni"},
+                "source": {"kind": "recording", "player": "repeated", "path": "demo/recording.oni"},
                 "calibration_id": CALIBRATION["id"],
                 "window": {"kind": "amplitude", "signal": "whole", "lower_percent": -10, "upper_percent": 30}
                 | {"hysteresis_percent": 2, "dwell_ms": 200},
