@@ -11,6 +11,7 @@ from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort
 from service.monitoring.certificate import ServedCertificate
+from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.engine import EngineMetrics
 from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics
 from service.monitoring.metrics.registry import HttpCounters, Metrics
@@ -56,6 +57,7 @@ class Monitoring:
     """Readiness and metrics of the service."""
 
     health: ReadinessProbe
+    machine: MachineDescription
     metrics: Metrics
     http: HttpCounters
 
@@ -71,7 +73,7 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
         is_stopping=lambda: services.equipment.is_closed,
         certificate=services.certificate,
     )
-    machine = MachineMetrics(
+    collector = MachineMetrics(
         data_dir=services.settings.data_dir,
         figures=DatabaseFigures(services.database),
         certificate=services.certificate,
@@ -80,9 +82,14 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
         room=services.settings.room,
         forwarded_rows=lambda: services.audit_supervision.passed_on,
     )
-    collectors = (EngineMetrics(services.equipment, services.engine), machine, *others)
+    collectors = (EngineMetrics(services.equipment, services.engine), collector, *others)
     registry = services.counters.registry
-    return Monitoring(health=health, metrics=Metrics(registry, collectors), http=HttpCounters(registry))
+    machine = MachineDescription(
+        settings=services.settings, readiness=health.readiness, certificate=services.certificate
+    )
+    return Monitoring(
+        health=health, machine=machine, metrics=Metrics(registry, collectors), http=HttpCounters(registry)
+    )
 
 
 def _trouble_of(engine: EnginePort) -> Callable[[], str | None]:

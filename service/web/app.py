@@ -160,6 +160,8 @@ def language_route(dashboard: Path) -> Route:
 DASHBOARD = Path(str(files("service.web"))) / "dashboard"
 PATIENT = "/patient"
 """Address of the patient screen's page."""
+OFFICE = "/office"
+"""Address of the page of everything that is not done at the patient: past sessions, plans, QA, models, audit."""
 PLAN_IMPORT = ("POST", "/api/v1/plans")
 STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
@@ -238,6 +240,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
     root.include_router(health.router, dependencies=[is_guarded])
     root.include_router(metrics.router, dependencies=[is_guarded])
     api = APIRouter(prefix="/api/v1", dependencies=[is_guarded, *map(Depends, STRICT)])
+    api.include_router(health.machine_router)
     for module in (
         login,
         login_oidc,
@@ -266,4 +269,6 @@ def _api_routes() -> tuple[BaseRoute, ...]:
 def _page_files() -> frozenset[str]:
     """Return the paths of the page's files, listed once per process: no data, and all that is read without a rule."""
     found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
-    return frozenset({"/", LANGUAGE_LIST, PATIENT, f"{PATIENT}/", *(f"/{path}" for path in found)})
+    return frozenset(
+        {"/", LANGUAGE_LIST, PATIENT, f"{PATIENT}/", OFFICE, f"{OFFICE}/", *(f"/{path}" for path in found)}
+    )

@@ -288,6 +288,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         planned_sessions=PlannedSessions(database, log, work.sessions, settings.gantry_side),
         audit=AuditService(database, log, AnchorFile(settings.anchor_file)),
         health=monitoring.health,
+        machine=monitoring.machine,
         interlocks=InterlockTable(settings),
         metrics=monitoring.metrics,
         engine=dependencies.engine,

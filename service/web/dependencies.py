@@ -17,6 +17,7 @@ from service.core.conditional import LONGEST, Precondition, is_known, preconditi
 from service.core.errors import MediaTypeError, NotLoggedInError
 from service.core.schemas.base import Identifier, Name
 from service.engine_host.roles import EnginePort
+from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.registry import Metrics
 from service.monitoring.readiness import ReadinessProbe
 from service.planning.rt_plan.planned_sessions import PlannedSessions
@@ -61,6 +62,7 @@ class Services:
     planned_sessions: PlannedSessions
     audit: AuditService
     health: ReadinessProbe
+    machine: MachineDescription
     interlocks: InterlockTable
     metrics: Metrics
     engine: EnginePort

@@ -29,6 +29,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", "/healthz"): Open.PUBLIC,
     ("GET", "/readyz"): Open.ANYONE_LOGGED_IN,
     ("GET", "/metrics"): Permission.METRICS_READ,
+    ("GET", f"{V1}/machine"): Permission.METRICS_READ,
     ("GET", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     ("HEAD", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     (SOCKET, f"{V1}/live"): Permission.SESSIONS_READ,

@@ -132,6 +132,31 @@ class Readiness(Answer):
     checked_at: AwareDatetime = Field(description="Time of the check; at most a few seconds ago")
 
 
+class MachineSetting(Answer):
+    """One setting in force."""
+
+    name: str = Field(examples=["TIDEGATE_MAX_FRAME_AGE_MS"])
+    section: str = Field(description="Its section in the site's file")
+    value: str = Field(description="As JSON; a secret is replaced by a fixed text")
+    source: str = Field(description="`default`, `environment`, `command line`, or the path of the site's file")
+
+
+class Machine(Answer):
+    """What runs on the machine of the service."""
+
+    version: str
+    method: int = Field(description="Number of the method that measures; sessions of another one replay differently")
+    python: str
+    system: str = Field(description="Operating system, its release, and the processor's kind")
+    started_at: AwareDatetime = Field(description="When the service started")
+    now: AwareDatetime = Field(description="The service's clock")
+    disk_free_mb: int = Field(description="Free space on the disk of the data folder")
+    disk_total_mb: int
+    certificate_ends_at: AwareDatetime | None = Field(description="null where the service does not terminate TLS")
+    readiness: Readiness
+    settings: list[MachineSetting] = Field(description="Section by section, each in alphabetical order")
+
+
 class Health(Answer):
     """Liveness of the process; public, so it contains no details."""
 

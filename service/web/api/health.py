@@ -2,10 +2,11 @@
 
 from fastapi import APIRouter, Response
 
-from service.core.schemas.base import Health, Readiness
+from service.core.schemas.base import Health, Machine, Readiness
 from service.web import dependencies
 
 router = APIRouter(tags=["health"])
+machine_router = APIRouter(tags=["health"])
 
 
 @router.get("/healthz")
@@ -25,3 +26,9 @@ def readyz(services: dependencies.AppServices, response: Response) -> Readiness:
     if not readiness.is_ready:
         response.status_code = 503
     return readiness
+
+
+@machine_router.get("/machine")
+def read_machine(services: dependencies.AppServices) -> Machine:
+    """Return what runs on this machine: versions, settings in force, disk, certificate, readiness."""
+    return services.machine.describe()

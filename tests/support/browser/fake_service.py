@@ -99,10 +99,16 @@ PLAN = {
 
 REPORT = {
     "figures": {
+        "beam_on_s": 41.2,
+        "duty_percent": 34.3,
+        "pulses": 26,
+        "latency": {"p99_ms": 31.0},
+        "amplitude": {"median": 9.02, "low": 7.9, "high": 10.4},
+        "period_s": {"median": 4.01, "low": 3.6, "high": 4.5},
         "motion": [
             {"signal": "whole", "mean_mm": 0.42, "deviation_mm": 0.81, "within_95_mm": 1.52, "frames": 1236},
             {"signal": "thorax", "mean_mm": 0.2, "deviation_mm": 0.4, "within_95_mm": 0.8, "frames": 1236},
-        ]
+        ],
     },
     "deviations": ["the beam line was simulated"],
     "events": [
@@ -434,7 +440,11 @@ def page_files(*, is_relaxed: bool) -> dict[str, Response]:
         content = relaxed(path).encode() if is_relaxed and path in RELAXED_MS else file.read_bytes()
         files[path] = Response(content, media_type=mimetypes.guess_type(path)[0])
     languages = JSONResponse({"languages": language_names(DASHBOARD)})
-    return files | {"": files["index.html"], LANGUAGE_LIST.removeprefix("/"): languages}
+    return files | {
+        "": files["index.html"],
+        "office/": files["office/index.html"],
+        LANGUAGE_LIST.removeprefix("/"): languages,
+    }
 
 
 def relaxed(path: str) -> str:
@@ -481,6 +491,7 @@ class FakeService:
         self.devices: list[dict[str, Any]] = []
         self.recordings: list[dict[str, Any]] = [dict(RECORDING)]
         self.plans: list[dict[str, Any]] = []
+        self.office: dict[str, dict[str, Any]] = {}  # further answers, by path
         self.audit: list[dict[str, Any]] = []
         self.qa: dict[str, Any] = qa_status()
         self.arming: dict[str, Any] = arming()
@@ -667,7 +678,7 @@ class FakeService:
     def _answer(self, path: str, method: str, body: Any) -> Response:
         pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit}
         pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
-        single = {"/qa/status": self.qa, **self.of_model}
+        single = {"/qa/status": self.qa, **self.of_model, **self.office}
         if method == "GET" and path in single:
             return JSONResponse(single[path])
         listed = self.models if path.endswith("/models") else pages.get(path)

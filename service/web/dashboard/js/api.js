@@ -56,8 +56,8 @@ function withWait(error, response) {
 async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
   const request = { method, headers: { Accept: "application/json", ...headers }, signal: AbortSignal.timeout(timeoutMs), cache: "no-store" };
   if (body !== undefined) {
-    request.body = typeof body === "string" ? body : JSON.stringify(body);
-    request.headers["Content-Type"] = "application/json";
+    request.body = typeof body === "string" || body instanceof Blob ? body : JSON.stringify(body);
+    request.headers["Content-Type"] ??= "application/json";
   }
   try {
     const response = await fetch(ROOT + path, request);
@@ -80,8 +80,8 @@ const session = (id) => `/sessions/${encodeURIComponent(id)}`;
 /** Return a new Idempotency-Key, so that a repeated submission does not create twice. */
 const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` });
 
-const searched = (limit, search) => new URLSearchParams({ limit, ...(search === "" ? {} : { search }) });
-export const listSessions = (limit, search = "") => call("GET", `/sessions?${searched(limit, search)}`);
+const searched = (limit, search, cursor = null) => new URLSearchParams({ limit, ...(search === "" ? {} : { search }), ...(cursor === null ? {} : { cursor }) });
+export const listSessions = (limit, search = "", cursor = null) => call("GET", `/sessions?${searched(limit, search, cursor)}`);
 export const readSession = (id) => call("GET", session(id));
 export const createSession = (request) => call("POST", "/sessions", request, once());
 export const listPlans = (search = "") => call("GET", `/plans?${searched(50, search)}`);
@@ -105,6 +105,27 @@ export async function readSamples(id) {
 export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
 export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;
+const qaRun = (id) => `/qa/runs/${encodeURIComponent(id)}`;
+export const listQaRuns = (limit, cursor) => call("GET", `/qa/runs?${searched(limit, "", cursor)}`);
+export const readQaRun = (id) => call("GET", qaRun(id));
+export const startQaRun = (request) => call("POST", "/qa/runs", request, once());
+export const cancelQaRun = (id) => call("POST", `${qaRun(id)}/cancel`, {});
+export const listQaChecks = () => call("GET", "/qa/checks");
+export const readQaTrend = (check, limit) => call("GET", `/qa/trend?${new URLSearchParams({ check, limit })}`);
+export const readQaLatency = () => call("GET", "/qa/latency");
+export const readQaBaseline = () => call("GET", "/qa/baseline");
+/** A DICOM file as it is. */
+export async function importPlan(file) {
+  const response = await send("POST", "/plans", file, { "Content-Type": "application/dicom" }, SAMPLES_TIMEOUT_MS);
+  const answer = await response.json().catch(() => null);
+  if (!response.ok) throw new ApiError(response.status, answer ?? {});
+  return answer;
+}
+export const readAudit = (wanted) => call("GET", `/audit?${new URLSearchParams(wanted)}`);
+/** `after` is the last row that is verified already; null for the beginning. */
+export const verifyAudit = (after) => call("GET", `/audit/verify${after === null ? "" : `?after=${after}`}`);
+export const auditExportUrl = `${ROOT}/audit/export`;
+export const readMachine = () => call("GET", "/machine");
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
 

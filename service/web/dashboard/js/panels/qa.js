@@ -51,7 +51,7 @@ export class QaPanel {
 }
 
 function isFailed(status) {
-  return (status.refusal ?? "").includes(" failed (");
+  return status.refusal !== null && KINDS.some((kind) => status.newest[kind]?.verdict === "fail");
 }
 
 function note(status) {

@@ -1,0 +1,91 @@
+/**
+ * The office: everything that is not done at the patient. One room is shown at a time; the address names it, so that a
+ * link leads to it. Nothing here touches a running session, and the console does not depend on this page.
+ */
+
+import "../words/document.js";
+import { onRefusal, readMe } from "../api.js";
+import { byId, part, setText } from "../drawing/elements.js";
+import "../drawing/theme.js";
+import { rolesText } from "../people/permissions.js";
+import { tr } from "../words/words.js";
+import { auditRoom } from "./audit.js";
+import { machineRoom } from "./machine.js";
+import { modelsRoom } from "./models.js";
+import { plansRoom } from "./plans.js";
+import { qaRoom } from "./qa.js";
+import { sessionsRoom } from "./sessions.js";
+
+/** By the name in the address: the permission that a room needs, and what fills it. */
+const ROOMS = {
+  sessions: ["sessions.read", sessionsRoom],
+  plans: ["sessions.read", plansRoom],
+  models: ["sessions.read", modelsRoom],
+  qa: ["qa.read", qaRoom],
+  audit: ["audit.read", auditRoom],
+  machine: ["metrics.read", machineRoom],
+};
+const ASK_MS = 20_000;
+
+let person = null;
+/** Ends what the room that is shown still does, such as asking for the progress of a run. */
+let leave = () => {};
+
+function permitted() {
+  return Object.keys(ROOMS).filter((name) => person.permissions.includes(ROOMS[name][0]));
+}
+
+function show() {
+  leave();
+  leave = () => {};
+  const names = permitted();
+  const wanted = window.location.hash.slice(1).split("/")[0];
+  const name = names.includes(wanted) ? wanted : names[0];
+  byId("rooms").replaceChildren(...names.map((one) => {
+    const link = part("a", tr(`office.${one}`));
+    link.href = `#${one}`;
+    if (one === name) link.setAttribute("aria-current", "page");
+    return link;
+  }));
+  if (name === undefined) {
+    byId("room").replaceChildren(part("p", tr("office.no_room")));
+    return;
+  }
+  document.title = `${tr(`office.${name}`)} · Tidegate`;
+  const root = byId("room");
+  root.replaceChildren(part("h1", tr(`office.${name}`)));
+  const abort = new AbortController();
+  leave = () => abort.abort();
+  ROOMS[name][1]({ root, person, ended: abort.signal });
+}
+
+/** Read who is logged in; without a log-in nothing of the room stays on the page. */
+async function look() {
+  try {
+    const found = await readMe();
+    if (found.must_change_password) { lock(); return; }
+    const isNew = JSON.stringify(found) !== JSON.stringify(person);
+    person = found;
+    setText(byId("who"), `${person.name} · ${rolesText(person.roles)}`);
+    if (isNew) show();
+  } catch (error) {
+    if (error.status === 401) lock();
+    else if (person === null) byId("room").replaceChildren(part("p", error.message));
+  }
+}
+
+function lock() {
+  leave();
+  person = null;
+  setText(byId("who"), "");
+  byId("rooms").replaceChildren();
+  const link = part("a", tr("office.log_in"));
+  link.href = "../";
+  byId("room").replaceChildren(link);
+}
+
+onRefusal(() => look());
+window.addEventListener("hashchange", () => { if (person !== null) show(); });
+document.addEventListener("visibilitychange", () => { if (!document.hidden) look(); });
+setInterval(() => { if (!document.hidden) look(); }, ASK_MS);
+look();

@@ -1,0 +1,54 @@
+/** Motion models: those of the newest sessions, how well each explains its patient's breathing, and its spectrum. */
+
+import { listModels, listSessions, readSpectrum } from "../api.js";
+import { part } from "../drawing/elements.js";
+import { localTime } from "../drawing/local_time.js";
+import { fixed } from "../drawing/numbers.js";
+import { tr } from "../words/words.js";
+import { field, filled, form, section, table, typed } from "./parts.js";
+
+const SESSIONS = 10;
+const MODELS = 20;
+const SHOWN_SHARES = 7;
+const COLUMNS = [["patient"], ["fraction"], ["model"], ["learned"], ["frames", true], ["components", true], ["amplitude", true], ["explained", true], ["residual", true], ["noise", true], ["spectrum"]];
+
+export function modelsRoom({ root, ended }) {
+  const list = part("div", "");
+  const show = (search) => filled(list, ended, () => read(search), (found) => shown(found, ended));
+  root.append(section(tr("office.models"), part("p", tr("office.models_note"), "note"), form([field(tr("office.search_sessions"), typed("search"), "search")], tr("office.find"), ({ search }) => show(search ?? "")), list));
+  show("");
+}
+
+async function read(search) {
+  const { items } = await listSessions(SESSIONS, search);
+  const models = await Promise.all(items.map((session) => listModels(session.id, MODELS)));
+  return items.flatMap((session, i) => models[i].items.map((model) => ({ session, model })));
+}
+
+function shown(found, ended) {
+  if (found.length === 0) return part("p", tr("office.no_models"), "note");
+  return table(COLUMNS.map(([name, isNumber]) => ({ name: tr(`office.${name}`), isNumber })), found.map(({ session, model }) => row(session, model, ended)));
+}
+
+function row(session, model, ended) {
+  const { quality } = model;
+  const figure = (name, digits, factor = 1) => (quality === null ? "–" : fixed(factor * quality[name], digits));
+  const spectrum = part("span", "");
+  const button = part("button", tr("office.show"));
+  button.type = "button";
+  button.addEventListener("click", () => filled(spectrum, ended, () => readSpectrum(model.id), ({ share }) => part("span", share.slice(0, SHOWN_SHARES).map((one) => `${fixed(100 * one, 1)} %`).join(" · "))));
+  spectrum.append(button);
+  return [
+    model.patient_reference,
+    session.fraction_id,
+    `${tr("office.number_of", { number: model.number })}${model.is_active ? ` · ${tr("office.in_use")}` : ""}`,
+    localTime(model.created_at),
+    String(model.training_frames ?? "–"),
+    String(model.components),
+    figure("amplitude_mm", 1),
+    `${figure("explained_share", 1, 100)} %`,
+    figure("residual_mm", 2),
+    figure("noise_mm", 2),
+    spectrum,
+  ];
+}
