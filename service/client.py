@@ -1498,6 +1498,7 @@ class ReportFigures(TypedDict):
     frames: int
     holds: list[HeldTime]
     latency: LatencyView
+    latency_bins: list[int]
     lost: int
     missed_frames: int
     motion: list[GatedMotion]
@@ -1516,6 +1517,16 @@ class SignedDegree(TypedDict):
     value: float | None
 
 
+class ReportSignature(TypedDict):
+    """A note to a session that is over, or a signature under its report."""
+
+    at: str
+    is_signed: bool
+    name: str
+    note: str
+    samples_sha256: str
+
+
 class SessionReport(TypedDict):
     """A session as its report states it."""
 
@@ -1529,6 +1540,8 @@ class SessionReport(TypedDict):
     session: Session
     session_id: str
     settings_sha256: str
+    signatures: list[ReportSignature]
+    signatures_needed: int
     software: str
 
 

@@ -5,7 +5,16 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
 
 from engine.qa import BASELINE_BOUNDS, PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
-from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
+from service.core.schemas.base import (
+    Answer,
+    Identifier,
+    Name,
+    Operator,
+    Request,
+    SourceText,
+    broken,
+    printable_or_empty,
+)
 from service.core.schemas.sessions import DeviceSource
 
 Kind = Literal["daily", "monthly", "annual"]
@@ -19,15 +28,8 @@ PULSE_MS = (120.0, 200.0)
 MOST_START_US = 3_600_000_000
 
 
-def _printable_or_empty(text: str) -> str:
-    if not text.isprintable():
-        msg = "must be printable characters"
-        raise ValueError(msg)
-    return text
-
-
 PARTS = ("plate", "phantom", "calibration_id")
-Note = Annotated[str, StringConstraints(max_length=500), AfterValidator(_printable_or_empty)]
+Note = Annotated[str, StringConstraints(max_length=500), AfterValidator(printable_or_empty)]
 Code = Annotated[SecretStr, Field(min_length=1, max_length=32)]
 Position = Annotated[float, Field(ge=-100.0, le=100.0)]
 

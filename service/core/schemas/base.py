@@ -32,6 +32,11 @@ def _printable(text: str) -> str:
     return text
 
 
+def printable_or_empty(text: str) -> str:
+    """Return the text; raise ValueError for what is not printable."""
+    return _printable(text) if text else text
+
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(_printable)]
 SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), AfterValidator(_printable)]
 Operator = Annotated[

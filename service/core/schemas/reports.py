@@ -1,10 +1,10 @@
 """Schemas of a session's report: everything that it states, as numbers with their units."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AfterValidator, AwareDatetime, Field, StringConstraints, model_validator
 
-from service.core.schemas.base import Answer, Identifier
+from service.core.schemas.base import Answer, Identifier, Operator, Request, broken, printable_or_empty
 from service.core.schemas.sessions import HoldCount, LatencyView, Session
 
 ResidualSignal = Literal["whole", "thorax", "abdomen"]
@@ -53,6 +53,9 @@ class ReportFigures(Answer):
     baseline_first: float | None = Field(description="Median of the first 30 s in which it is known")
     baseline_last: float | None = Field(description="Median of the last 30 s")
     latency: LatencyView
+    latency_bins: list[int] = Field(
+        description="Frames by latency, from 0 ms in steps of 5 ms; those of 200 ms and more are in the last"
+    )
 
 
 class SignedDegree(Answer):
@@ -73,6 +76,33 @@ class ReportEvent(Answer):
     text: str = Field(description="What was done, with its reason")
 
 
+class ReportSignature(Answer):
+    """A note to a session that is over, or a signature under its report."""
+
+    at: AwareDatetime
+    name: str
+    is_signed: bool = Field(description="false: a note only")
+    note: str
+    samples_sha256: str = Field(description="Of the samples of the report that the person looked at")
+
+
+class SignatureRequest(Request):
+    """A note, or a signature under the report that was looked at."""
+
+    operator: Operator = ""
+    is_signed: bool = Field(default=True, description="false: a note only, which needs a text")
+    note: Annotated[str, StringConstraints(max_length=1000), AfterValidator(printable_or_empty)] = ""
+    samples_sha256: Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{64})?$")] = Field(
+        description="That of the report that was looked at; another one is refused"
+    )
+
+    @model_validator(mode="after")
+    def _needs_a_text(self) -> "SignatureRequest":
+        if not self.is_signed and not self.note:
+            raise broken("note", self.note, "given where nothing is signed")
+        return self
+
+
 class SessionReport(Answer):
     """A session as its report states it."""
 
@@ -82,6 +112,10 @@ class SessionReport(Answer):
     events: list[ReportEvent] = Field(description="Oldest first; the gate's own transitions only to a fault")
     deviations: list[str] = Field(description="What was not as planned or as usual; empty where nothing was")
     position: list[SignedDegree] = Field(description="As last signed; empty where none was")
+    signatures: list[ReportSignature] = Field(description="Notes and signatures, oldest first")
+    signatures_needed: int = Field(
+        description="2 where a person went beyond a limit of the site with a reason, or overrode a plan; else 1"
+    )
     model: str = Field(description="The newest model of the session; empty without one")
     software: str
     samples_sha256: str = Field(description="Of the stored samples; empty while the session runs, or without any")

@@ -13,6 +13,7 @@ from service.core.schemas.reports import GatedMotion, HeldTime, Range, ReportFig
 from service.storage.samples.figures import LONGEST_STEP_NS, Figures, hold_list
 
 BASELINE_S = 30.0
+BIN_US, BINS = 5_000, 41
 SIGNALS = ("whole", "thorax", "abdomen")
 NUMBERS = (
     *("decided_ns", "missed_frames", "whole_mm", "thorax_mm", "abdomen_mm", "signal_mm", "volume_l"),
@@ -88,7 +89,15 @@ def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
         baseline_first=first,
         baseline_last=last,
         latency=summary.latency,
+        latency_bins=_latency_bins(counted),
     )
+
+
+def _latency_bins(counted: Figures) -> list[int]:
+    """Count the frames by latency, in bins of `BIN_US`; the last has all that took longer."""
+    shares = counted.latencies[: BIN_US * BINS].reshape(BINS, BIN_US).sum(axis=1)
+    shares[-1] += counted.latencies[BIN_US * BINS :].sum()
+    return [int(one) for one in shares]
 
 
 def pulses_s(is_on: npt.NDArray[np.bool_], steps_s: npt.NDArray[np.float64]) -> list[float]:

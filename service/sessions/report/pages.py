@@ -43,6 +43,7 @@ def report_pdf(stored: StoredReport) -> bytes:
         "title": _title(report),
         "note": NOTE,
         "svg": trace_svg(stored.columns),
+        "unsigned": _missing_signatures(report),
         "date": [made_at.year, made_at.month, made_at.day],
         "sections": [
             {"title": one.title, "rows": one.rows, "headings": one.has_headings, "detail": one.is_detail}
@@ -89,6 +90,7 @@ def sections(report: SessionReport) -> list[Section]:
         Section(title="Holds while armed", rows=list(_holds(report)), has_headings=True),
         Section(title="Measurement", rows=list(_measurement(report))),
         *([Section(title="Position against the plan", rows=list(_position(report)))] if report.position else []),
+        *([Section(title="Notes and signatures (UTC)", rows=list(_signatures(report)))] if report.signatures else []),
         Section(title="Who did what (UTC)", rows=list(_events(report)), has_headings=True, is_detail=True),
         Section(title="Versions and hashes", rows=list(_versions(report)), is_detail=True),
     ]
@@ -183,6 +185,17 @@ def _position(report: SessionReport) -> Iterator[list[str]]:
     for one in report.position:
         value = NONE if one.value is None else f"{_signed(one.value)} {one.unit}"
         yield [one.name, f"{value}, tolerance {one.tolerance:g} {one.unit}"]
+
+
+def _signatures(report: SessionReport) -> Iterator[list[str]]:
+    for one in report.signatures:
+        yield [one.name, f"{'signed' if one.is_signed else 'noted'} {_at(one.at)}{f': {one.note}' if one.note else ''}"]
+
+
+def _missing_signatures(report: SessionReport) -> list[str]:
+    """Return the lines that are left for pen and paper."""
+    names = ("checked by, date", "second person, date")
+    return list(names[sum(one.is_signed for one in report.signatures) :])
 
 
 def _events(report: SessionReport) -> Iterator[list[str]]:

@@ -13,10 +13,19 @@ from sqlalchemy.orm import Session as DatabaseSession
 
 from engine.core.files import PIECE_BYTES
 from service.core.errors import SessionStateError
-from service.core.schemas.reports import ReportEvent, ReportFigures, SessionReport, SignedDegree
+from service.core.schemas.reports import (
+    ReportEvent,
+    ReportFigures,
+    ReportSignature,
+    SessionReport,
+    SignatureRequest,
+    SignedDegree,
+)
 from service.core.schemas.sessions import Session
 from service.sessions.records.sessions import session_answer
 from service.sessions.report.figures import SampleColumns, read_columns, report_figures
+from service.storage.audit.chain import Event
+from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow
@@ -38,6 +47,7 @@ ACTIONS = {
     "session.baseline_correction": "window moved by the drift",
     "session.position_check": "position signed",
     "session.countersign": "countersigned",
+    "session.signature": "report signed or noted",
     "model.retrain": "trained again",
     "model.activate": "stored model chosen",
     "model.apply": "new model taken up",
@@ -56,6 +66,11 @@ COUNTED = {
 """Acts that are counted, and how many of them a usual session has."""
 LOST_PERCENT = 1.0
 OPEN = ("created", "running")
+SIGNATURE = "session.signature"
+REASONED = frozenset(
+    {"session.arm", "session.reference", "session.window", "session.baseline_correction", "session.position_check"}
+)
+"""Acts whose reason says that a limit of the site was exceeded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +86,28 @@ class ReportService:
 
     def __init__(self, database: Database, store: SampleStore) -> None:
         self._database, self._store = database, store
+        self._log = AuditLog(database)
+
+    def sign(self, session_id: str, request: SignatureRequest, actor: str) -> SessionReport:
+        """Add a note or a signature to the audit; return the report with it.
+
+        Raises
+        ------
+        SessionStateError
+            The report is another one than the person looked at, or the person has signed it already.
+        """
+        detail = request.model_dump(exclude={"operator"})
+        with self._log.refusals(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail):
+            present = self.of(session_id).report
+            if request.samples_sha256 != present.samples_sha256:
+                bound = "that of the report as it is now: read it again"
+                msg = f"samples_sha256 must be {bound}"
+                raise SessionStateError(msg, field="samples_sha256", value=request.samples_sha256, bound=bound)
+            if request.is_signed and any(one.is_signed and one.name == actor for one in present.signatures):
+                msg = f"{actor} has signed this report already: the second signature is another person's"
+                raise SessionStateError(msg, field="operator", value=actor, bound="a person who has not signed")
+        self._log.write(Event(actor=actor, action=SIGNATURE, outcome="done", session_id=session_id, detail=detail))
+        return self.of(session_id).report
 
     def of(self, session_id: str) -> StoredReport:
         """Make the report of a session.
@@ -109,6 +146,8 @@ class ReportService:
             events=list(_events(rows)),
             deviations=list(_deviations(session, figures, rows)),
             position=_position(rows),
+            signatures=list(_signatures(rows)),
+            signatures_needed=2 if _is_beyond(rows) else 1,
             model=model,
             software="" if head is None else head.software,
             samples_sha256=_sha256(self._store.parquet_path(session_id)),
@@ -186,6 +225,18 @@ def _position(rows: Sequence[_Row]) -> list[SignedDegree]:
     shown = signed[-1].detail.get("shown", {}) if signed else {}
     names = SignedDegree.model_fields
     return [SignedDegree(**{name: one[name] for name in names}) for one in shown.get("degrees", [])]
+
+
+def _signatures(rows: Sequence[_Row]) -> Iterator[ReportSignature]:
+    for row in rows:
+        if row.action == SIGNATURE and row.outcome == "done":
+            yield ReportSignature(at=datetime.fromisoformat(row.at), name=row.actor, **row.detail)
+
+
+def _is_beyond(rows: Sequence[_Row]) -> bool:
+    """Whether a person exceeded a limit of the site with a reason, or overrode a plan."""
+    done = [row for row in rows if row.outcome == "done"]
+    return any((row.action in REASONED and row.detail.get("reason")) or _overridden(row) for row in done)
 
 
 def _missing(figures: ReportFigures) -> Iterator[str]:

@@ -53,7 +53,7 @@ from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.base import Name
 from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
-from service.core.schemas.reports import SessionReport
+from service.core.schemas.reports import SessionReport, SignatureRequest
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
@@ -368,6 +368,20 @@ REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
 def read_report(session_id: dependencies.SessionId, services: dependencies.AppServices) -> SessionReport:
     """Return the report of a session that is over: figures of its samples, events of the audit, versions."""
     return services.reports.of(session_id).report
+
+
+@router.post("/{session_id}/signature", name="session.signature", responses=REPORT)
+def sign_report(
+    session_id: dependencies.SessionId,
+    request: SignatureRequest,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+) -> SessionReport:
+    """Add a note or a signature to the report of a session that is over; for people only.
+
+    A signature is of the report as it was read: with other samples it is refused, and each person signs once.
+    """
+    return services.reports.sign(session_id, request, caller.checked_actor(request.operator))
 
 
 @router.get(

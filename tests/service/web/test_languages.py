@@ -33,6 +33,7 @@ MADE_OF = {
         "role.",
         PREFIX,
         "office.",
+        "review.",
         "scope.",
         "checks.",
         "event.",

@@ -111,6 +111,9 @@ REPORT = {
         ],
     },
     "deviations": ["the beam line was simulated"],
+    "samples_sha256": "ab" * 32,
+    "signatures": [],
+    "signatures_needed": 1,
     "events": [
         {"at": "2026-11-21T09:12:40Z", "actor": "A. Therapist", "action": "session.arm", "text": "armed"},
         {"at": "2026-11-21T09:18:50Z", "actor": "A. Therapist", "action": "session.stop", "text": "stopped"},
@@ -621,11 +624,17 @@ class FakeService:
         if request.method != "GET" and self.problem is not None:
             status, problem = self.problem
             return JSONResponse(problem, status, media_type="application/problem+json")
-        if path.startswith(("/users", "/keys")):
+        if path.startswith(("/users", "/keys")) or path.endswith("/signature"):
             return self._about_others(path, request.method, body)
         answer = self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
         search = request.query_params.get("search")
         return answer if search is None else _searched(answer, search)
+
+    def _sign(self, body: dict[str, Any]) -> Response:
+        assert self.person is not None
+        signed = {"at": self._now(), "name": self.person["name"], "note": body["note"]}
+        self.report["signatures"].append(signed | {"is_signed": body["is_signed"]})
+        return JSONResponse(self.report)
 
     def _about_log_ins(self, path: str, body: Any) -> Response:
         if path == "/login":
@@ -661,6 +670,8 @@ class FakeService:
         return JSONResponse(self.person)
 
     def _about_others(self, path: str, method: str, body: Any) -> Response:
+        if path.endswith("/signature"):
+            return self._sign(body)
         kept = self.people if path.startswith("/users") else self.keys
         if method == "GET":
             return JSONResponse({"items": kept, "next_cursor": None})

@@ -83,7 +83,7 @@ def opened(tab: Tab, room: str) -> Page:
 def test_without_a_log_in_it_shows_nothing_and_the_way_to_one(fake: FakeService, office: Tab):
     fake.person = None
     office.page.goto(office.url)
-    expect(office.page.locator("#room a")).to_have_text("Log in at the console first.")
+    expect(office.page.locator("#room > a")).to_have_text("Log in at the console first.")
     assert {path for _, path, _ in fake.calls} == {"/api/v1/me"}
 
 
@@ -92,7 +92,7 @@ def test_a_log_in_that_ends_leaves_nothing_of_a_patient_on_the_page(fake: FakeSe
     expect(page.locator("tbody tr")).to_contain_text("P-0117")
     fake.person = None
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-    expect(page.locator("#room a")).to_have_text("Log in at the console first.")
+    expect(page.locator("#room > a")).to_have_text("Log in at the console first.")
     assert "P-0117" not in page.inner_text("body")
 
 

@@ -5,8 +5,9 @@ import re
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from service.core.permissions import Role
 from tests.support.browser.accessibility import tint
-from tests.support.browser.fake_service import SESSION, FakeService, over, sample
+from tests.support.browser.fake_service import SESSION, FakeService, over, person, sample
 from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
 
@@ -103,12 +104,11 @@ def test_the_address_leads_to_a_session_and_to_a_moment_in_it(fake: FakeService,
     page = past(fake, tab)
     assert f"session={OLDER['id']}" in address(page)
     assert "from=" not in address(page)
-    page.focus("#review-frame")
     for key in ("+", "+", "+", "ArrowRight"):
-        page.keyboard.press(key)
+        page.locator("#review-frame").press(key)
     looked = address(page)
     assert re.search(r"from=[\d.]+&to=[\d.]+", looked)
-    page.keyboard.press("Home")
+    page.locator("#review-frame").press("Home")
     assert "from=" not in address(page)
     page.goto(looked)
     expect(page.locator("#report-heading")).to_have_text("Interrupted: P-0002")
@@ -136,3 +136,35 @@ def test_samples_that_cannot_be_read_are_reported_and_the_summary_stays(fake: Fa
     page.locator("#session-list .open", has_text="P-0002").click()
     expect(page.locator("#review-note")).to_have_text("Not read: removed")
     expect(page.locator("#report-figures")).to_contain_text("5400")
+
+
+def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST]
+    fake.report["signatures_needed"] = 2
+    page = tab.page
+    page.goto(f"{tab.url}/?session={NEWEST['id']}")
+    lines = page.locator("#review-signatures li")
+    expect(lines).to_have_text(["A limit was exceeded with a reason: two persons sign, 2 missing."])
+    page.get_by_label("Note", exact=True).fill("coughed in the third minute")
+    page.get_by_role("button", name="Add note").click()
+    expect(lines.first).to_contain_text("A. Therapist")
+    expect(lines.first).to_contain_text("coughed in the third minute")
+    page.get_by_role("button", name="Sign report").click()
+    expect(lines.last).to_contain_text("1 missing")
+    expect(page.locator("#review-outcome")).to_have_text("Signed.")
+    noted, signed = (body for path, body in fake.posts() if path.endswith("/signature"))
+    assert (noted["is_signed"], signed["is_signed"]) == (False, True)
+    assert noted["samples_sha256"] == signed["samples_sha256"] == fake.report["samples_sha256"]
+
+
+def test_who_may_not_sign_has_no_form_and_a_refusal_is_said(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST]
+    page = tab.page
+    page.goto(f"{tab.url}/?session={NEWEST['id']}")
+    fake.problem = (409, {"code": "session_state", "detail": "A. Therapist has signed this report already"})
+    page.get_by_role("button", name="Sign report").click()
+    expect(page.locator("#review-outcome")).to_contain_text("has signed this report already")
+    fake.person = person("V. Iewer", Role.VIEWER)
+    page.reload()
+    expect(page.locator("#review-signatures")).to_contain_text("Not signed yet.")
+    expect(page.locator("#review-sign")).to_be_hidden()

@@ -41,7 +41,7 @@ def test_while_no_one_can_arm_the_page_states_it_all_the_time_and_why(
     fake: FakeService, tab: Tab, refusal: str, word: str
 ):
     fake.mode, fake.sample = "samples", sample()
-    fake.qa = qa_status(refusal, 24.0)
+    fake.qa = qa_status(refusal, 24.0, daily=qa_run("daily", "fail" if word == "QA failed" else "pass"))
     page = tab.open("hold")
     badge = page.locator("#badge-qa")
     expect(badge).to_be_visible()

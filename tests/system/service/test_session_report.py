@@ -164,3 +164,47 @@ def test_the_command_writes_what_the_service_answers(client, played, tmp_path, m
     assert "out must end in .pdf or .html" in refused.output
     missing = CliRunner().invoke(app, ["report", "0" * 32, "--out", str(out)])
     assert (missing.exit_code, list(tmp_path.iterdir())) == (2, [out])
+
+
+def test_latencies_are_counted_in_steps_of_5_ms(client, played, samples):
+    counted = [0] * 41
+    for row in samples:
+        ns = row["asserted_ns"] - (row["captured_ns"] or row["received_ns"])
+        counted[min(max(ns, 0) // 5_000_000, 40)] += 1
+    assert export(client, played, "report").json()["figures"]["latency_bins"] == counted
+
+
+def sign(client, played, name, **changes):
+    shown = export(client, played, "report").json()
+    body = {"operator": name, "note": "", "samples_sha256": shown["samples_sha256"]} | changes
+    return client.post(f"/api/v1/sessions/{played.session_id}/signature", json=body)
+
+
+def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, played):
+    refused = sign(client, played, "A. Physicist", samples_sha256="00" * 32)
+    assert (refused.status_code, refused.json()["field"]) == (409, "samples_sha256")
+    assert sign(client, played, "A. Physicist", is_signed=False).status_code == 422, "a note has a text"
+    noted = sign(client, played, "A. Physicist", is_signed=False, note="two coughs")
+    assert [(one["is_signed"], one["note"]) for one in noted.json()["signatures"]] == [(False, "two coughs")]
+    before = export(client, played, "report.pdf").content
+    signed = sign(client, played, "A. Physicist").json()
+    assert [one["name"] for one in signed["signatures"] if one["is_signed"]] == ["A. Physicist"]
+    again = sign(client, played, "A. Physicist")
+    assert (again.status_code, again.json()["field"]) == (409, "operator")
+    assert sign(client, played, "B. Physicist").status_code == 200
+    assert export(client, played, "report.pdf").content != before
+    page = export(client, played, "report.html").text
+    assert "two coughs" in page
+    assert page.count("signed 20") == 2
+    outcomes = [row["outcome"] for row in audit_rows(client, "session.signature")]
+    assert sorted(outcomes) == ["done"] * 3 + ["refused"] * 3
+
+
+def test_two_persons_sign_where_one_went_beyond_a_limit_with_a_reason(client, played):
+    reasoned = [
+        row
+        for name in ("arm", "reference", "window", "baseline_correction", "position_check")
+        for row in audit_rows(client, f"session.{name}")
+        if row["outcome"] == "done" and row["detail"].get("reason")
+    ]
+    assert export(client, played, "report").json()["signatures_needed"] == (2 if reasoned else 1)

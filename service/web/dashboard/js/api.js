@@ -102,6 +102,9 @@ export async function readSamples(id) {
   if (!response.ok) throw new ApiError(response.status, (await response.json().catch(() => null)) ?? {});
   return response.text();
 }
+/** `samples` is the hash of those that the person looked at. */
+export const signReport = (id, operator, isSigned, note, samples) =>
+  call("POST", `${session(id)}/signature`, { operator, is_signed: isSigned, note, samples_sha256: samples });
 export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
 export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

@@ -33,7 +33,7 @@ export class Report {
    */
   constructor(access, onCreated, onShown) {
     Object.assign(this, { access, onCreated, onShown, root: byId("report"), button: byId("report-continue"), dismissed: null });
-    this.review = new Review();
+    this.review = new Review(access);
     this.forget();
     byId("report-close").addEventListener("click", () => this.close());
     this.button.addEventListener("click", () => this.#continue());

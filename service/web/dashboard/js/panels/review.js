@@ -4,8 +4,8 @@
  * The part that is shown stands in the page's address, so that a link leads to a session and to a moment in it.
  */
 
-import { readReport, readSamples, reportUrl, samplesUrl } from "../api.js";
-import { byId, part, said, setText } from "../drawing/elements.js";
+import { readReport, readSamples, reportUrl, samplesUrl, signReport } from "../api.js";
+import { byId, part, said, say, setText } from "../drawing/elements.js";
 import { Chart } from "../drawing/chart.js";
 import { fixed } from "../drawing/numbers.js";
 import { localTime } from "../drawing/local_time.js";
@@ -34,7 +34,9 @@ export function addressed() {
 }
 
 export class Review {
-  constructor() {
+  /** @param {import("../people/access.js").Access} access the log-in, whose person signs */
+  constructor(access) {
+    this.access = access;
     this.root = byId("review");
     this.frame = byId("review-frame");
     this.chart = null;
@@ -42,13 +44,19 @@ export class Review {
     byId("review-all").addEventListener("click", () => this.#look(0, this.endS));
     byId("review-signal").addEventListener("change", () => this.#draw());
     this.frame.addEventListener("keydown", (event) => this.#key(event));
+    this.form = byId("review-sign");
+    this.form.addEventListener("submit", (event) => { event.preventDefault(); this.#sign(true); });
+    byId("review-remark").addEventListener("click", () => this.#sign(false));
   }
 
   forget() {
     Object.assign(this, { id: null, samples: null, range: null, endS: 0, startMs: NaN });
     this.root.hidden = true;
     setText(byId("review-note"), "");
-    for (const name of ["review-motion", "review-look", "review-acts", "review-links"]) byId(name).replaceChildren();
+    for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures"]) byId(name).replaceChildren();
+    this.form?.reset();
+    if (this.form) this.form.hidden = true;
+    say(byId("review-outcome"), "", "");
     this.chart?.clear();
     address(null);
   }
@@ -66,6 +74,7 @@ export class Review {
       const [report, text] = await Promise.all([readReport(id), readSamples(id)]);
       if (id !== this.id) return;
       this.#figures(report);
+      this.#signatures(report);
       this.samples = parsed(text);
       this.endS = this.samples.t.at(-1) ?? 0;
       setText(byId("review-note"), this.samples.t.length === 0 ? tr("review.no_samples") : "");
@@ -90,6 +99,32 @@ export class Review {
       line.append(part("time", localTime(one.at)), part("strong", one.actor), part("span", said(one.text)));
       return line;
     }));
+  }
+
+  /** What is signed, how much is missing, and the form for those who may sign. */
+  #signatures(report) {
+    this.report = report;
+    const { signatures, signatures_needed: needed } = report;
+    const lines = signatures.map((one) => tr(one.is_signed ? "review.signed" : "review.noted", { name: one.name, at: localTime(one.at), note: one.note === "" ? "" : `: ${one.note}` }));
+    const missing = needed - signatures.filter((one) => one.is_signed).length;
+    if (missing > 0) lines.push(tr(needed > 1 ? "review.missing_second" : "review.missing", { missing }));
+    byId("review-signatures").replaceChildren(...lines.map((one) => part("li", one)));
+    this.form.hidden = !this.access.may("sign");
+  }
+
+  async #sign(isSigned) {
+    const { id, report } = this;
+    const note = this.form.elements.note.value.trim();
+    try {
+      const signed = await signReport(id, this.access.person?.name ?? "", isSigned, note, report.samples_sha256);
+      if (id !== this.id) return;
+      this.form.reset();
+      this.#figures(signed);
+      this.#signatures(signed);
+      say(byId("review-outcome"), "done", tr(isSigned ? "review.is_signed" : "review.is_noted"));
+    } catch (error) {
+      if (id === this.id) say(byId("review-outcome"), "failed", error.message);
+    }
   }
 
   #look(from, to) {
