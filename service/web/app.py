@@ -220,6 +220,7 @@ def create_app(
                 allowed_origins=settings.allowed_origins,
                 is_secure=settings.is_secure,
                 page_files=_page_files(),
+                nothing=DASHBOARD / "nothing.html",
             ),
         ],
     )

@@ -4,11 +4,13 @@ Origin check against cross-site requests: browsers set the Origin header, and a 
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import cast
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.responses import FileResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.access.request.addresses import ClientAddresses
@@ -59,6 +61,7 @@ class Guard:
         allowed_origins: Sequence[str],
         is_secure: bool,
         page_files: frozenset[str],
+        nothing: Path | None = None,
         table: RuleTable | None = None,
     ) -> None:
         self._app = app
@@ -66,6 +69,7 @@ class Guard:
         self._allowed_origins = allowed_origins
         self._is_secure = is_secure
         self._page_files = page_files
+        self._nothing = nothing
         self._table = table or RuleTable()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -78,6 +82,10 @@ class Guard:
         if method in {"GET", "HEAD"} and scope["path"] in self._page_files:
             await self._app(scope, receive, send)
             return
+        lost = self._lost_page(scope, method)
+        if lost is not None:
+            await FileResponse(lost, 404, {"Cache-Control": "no-store"})(scope, receive, send)
+            return
         try:
             self._check(scope, method)
         except (ServiceError, HTTPException) as error:
@@ -86,6 +94,13 @@ class Guard:
             await _refuse(error, scope, receive, send)
             return
         await self._app(scope, receive, send)
+
+    def _lost_page(self, scope: Scope, method: str) -> Path | None:
+        """Return the page for a browser that asks for one that there is not; the API answers with problems."""
+        path = scope["path"]
+        if method not in {"GET", "HEAD"} or path.startswith("/api/") or self._table.methods(path):
+            return None
+        return self._nothing if "text/html" in Headers(scope=scope).get("accept", "") else None
 
     def _check(self, scope: Scope, method: str) -> None:
         """Raise the error that refuses this request; else store identity and rule in the scope."""

@@ -20,7 +20,7 @@ from tests.support.documents.sentences import PREFIX, templates
 LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
 ENGLISH = LANGUAGES["en"]
 SCRIPTS = [file for file in (DASHBOARD / "js").rglob("*.js") if file.name != "words.js"]
-PAGES = [DASHBOARD / place / "index.html" for place in (".", "patient", "office")]
+PAGES = [DASHBOARD / "nothing.html", *(DASHBOARD / place / "index.html" for place in (".", "patient", "office"))]
 CODES = [*HoldReason, *(code for code in ALARMS if code not in set(HoldReason))]
 NAMES = {"Tidegate", "F8", "Esc", "Tab", "Enter", "L", "End", "mm", "s", "OpenNI2 runtime"}
 """Text of the document that is the same in every language: names, keys and units."""

@@ -288,7 +288,7 @@ def test_the_body_of_an_unknown_caller_is_not_read(anonymous, monkeypatch):
 def test_the_page_is_public_and_nothing_else_beside_it(door):
     assert door.get("/").status_code == 200
     assert door.get("/index.html").status_code == 200
-    assert door.get("/nothing.html").status_code == 401
+    assert door.get("/none.html").status_code == 401
     assert door.get("/healthz").json() == {"status": "ok"}
     assert door.get("/readyz").status_code == 401
     assert door.get("/api/v1/openapi.json").status_code == 401
