@@ -103,6 +103,7 @@ REPORT = {
         "duty_percent": 34.3,
         "pulses": 26,
         "latency": {"p99_ms": 31.0},
+        "latency_bins": [0, 3, 1100, 200, 40, 2, 1] + [0] * 34,
         "amplitude": {"median": 9.02, "low": 7.9, "high": 10.4},
         "period_s": {"median": 4.01, "low": 3.6, "high": 4.5},
         "motion": [
@@ -508,6 +509,7 @@ class FakeService:
         self.ways: dict[str, Any] = {"password": True, "oidc": None}
         self.people: list[dict[str, Any]] = [user("Grace", Role.ADMIN)]
         self.keys: list[dict[str, Any]] = []
+        self.logins: list[dict[str, Any]] = []
         self.connections = 0
         self.pictures = 0
         self._jpeg = chest_jpeg()
@@ -672,6 +674,8 @@ class FakeService:
     def _about_others(self, path: str, method: str, body: Any) -> Response:
         if path.endswith("/signature"):
             return self._sign(body)
+        if "/logins" in path:
+            return JSONResponse({"items": self.logins})
         kept = self.people if path.startswith("/users") else self.keys
         if method == "GET":
             return JSONResponse({"items": kept, "next_cursor": None})

@@ -14,13 +14,15 @@ from tests.support.browser.accessibility import axe_findings
 from tests.support.browser.fake_service import DASHBOARD, PLAN, FakeService, over, person
 from tests.support.browser.tab import Tab
 from tests.support.planning.dicom_plans import motion, photon_plan, setup, written
+from tests.support.repository import ROOT
 from tests.support.service.accounts import PASSWORD, provision
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.browser
 
-ROOMS = ("sessions", "plans", "models", "qa", "audit", "machine")
+ROOMS = ("sessions", "plans", "models", "qa", "audit", "machine", "reference")
+CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text())
 GERMAN = json.loads((DASHBOARD / "lang" / "de.json").read_text())
 PHYSICIST = person("P. Hysicist", Role.PHYSICIST)
 
@@ -68,6 +70,7 @@ def office(fake: FakeService, own_tab: Tab) -> Tab:
         "/qa/latency": {"items": []},
         "/qa/baseline": {"number": 0, "earlier": []},
         "/machine": MACHINE,
+        "/openapi.json": CONTRACT,
     }
     own_tab.url += "/office/"
     return own_tab
@@ -99,7 +102,7 @@ def test_a_log_in_that_ends_leaves_nothing_of_a_patient_on_the_page(fake: FakeSe
 def test_each_role_sees_its_rooms(fake: FakeService, office: Tab):
     fake.person = person("V. Iewer", Role.VIEWER)
     page = opened(office, "sessions")
-    expect(page.locator("#rooms a")).to_have_text(["Sessions", "Plans", "Motion models", "QA"])
+    expect(page.locator("#rooms a")).to_have_text(["Sessions", "Plans", "Motion models", "QA", "API"])
     page.goto(f"{office.url}#machine")
     expect(page.locator("#rooms [aria-current]")).to_have_text("Sessions")
     opened(office, "plans")
@@ -160,6 +163,36 @@ def test_settings_of_the_site_come_first_and_secrets_stay_masked(office: Tab):
     expect(page.locator("section > .wide tbody tr")).to_contain_text("TIDEGATE_PORT")
     expect(page.locator("dl")).to_contain_text("2.0 of 4.0 GB free")
     expect(page.locator("details summary")).to_have_text("1 settings at their default")
+
+
+def test_an_administrator_sees_who_is_logged_in_and_ends_a_log_in(fake: FakeService, office: Tab):
+    fake.person = person("Grace", Role.ADMIN)
+    moment = "2026-11-24T07:00:00Z"
+    times = {"created_at": moment, "seen_at": moment, "expires_at": moment}
+    other = {"id": "aa" * 16, "address": "10.0.0.7", "way": "password", "is_this": False} | times
+    fake.logins = [other, other | {"id": "bb" * 16, "is_this": True}]
+    page = opened(office, "people")
+    rows = page.locator("tbody tr")
+    expect(rows).to_have_count(2)
+    expect(rows.last).to_contain_text("this one")
+    rows.first.get_by_role("button").click()
+    fake.logins.pop(0)
+    rows.first.get_by_role("button", name="Confirm end").click()
+    expect(rows).to_have_count(1)
+    assert [path for path, _ in fake.posts()] == [f"/users/Grace/logins/{'aa' * 16}/end"]
+
+
+def test_every_call_of_the_contract_is_there_and_opens_with_its_fields(office: Tab):
+    page = opened(office, "reference")
+    calls = [f"{method.upper()} {path}" for path, one in CONTRACT["paths"].items() for method in one]
+    assert sorted(page.locator("#room summary").all_inner_texts()) == sorted(calls)
+    page.get_by_text("POST /api/v1/sessions/{session_id}/hold", exact=True).click()
+    opened_call = page.locator("#room details[open]")
+    expect(opened_call).to_contain_text("Needs the permission gate.hold.")
+    expect(opened_call).to_contain_text("session_id")
+    page.get_by_text("POST /api/v1/sessions", exact=True).click()
+    expect(opened_call.first).to_contain_text("patient_reference")
+    expect(opened_call.first.locator("h3")).to_contain_text(["Body, application/json", "Answer 201", "Refusals"])
 
 
 def test_an_answer_that_does_not_come_is_said(fake: FakeService, office: Tab):

@@ -144,6 +144,12 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     page = tab.page
     page.goto(f"{tab.url}/?session={NEWEST['id']}")
     lines = page.locator("#review-signatures li")
+    bars = page.locator("#review-latency i")
+    expect(bars).to_have_count(7)
+    expect(bars.nth(2)).to_have_attribute("title", "10 to 15 ms: 1100 frames")
+    heights = bars.evaluate_all("all => all.map((one) => one.getBoundingClientRect().height)")
+    assert heights[2] == max(heights)
+    assert heights[0] == 0
     expect(lines).to_have_text(["A limit was exceeded with a reason: two persons sign, 2 missing."])
     page.get_by_label("Note", exact=True).fill("coughed in the third minute")
     page.get_by_role("button", name="Add note").click()

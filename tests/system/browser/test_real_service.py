@@ -324,7 +324,26 @@ def test_a_fraction_of_a_plan_is_set_up_and_gated_by_keyboard_alone(
     expect(page.locator("#gate-reason")).to_contain_text("Held by")
     page.keyboard.press("Escape")
     expect(page.locator("#gate")).to_have_attribute("data-kind", "disarmed")
+    look_at_it_again_and_sign(page, controller)
     page.close()
+
+
+def look_at_it_again_and_sign(page: Page, controller: Controller) -> None:
+    """Stop the session, find it in the office, follow it to its review, sign the report, and take the report away."""
+    (session, *_) = controller.call("GET", "/sessions")["items"]
+    page.click("#do-stop")
+    page.get_by_role("button", name="Confirm stop").click()
+    expect(page.locator("#report-heading")).to_contain_text(session["patient_reference"])
+    page.goto(f"{controller.url}/office/")
+    page.get_by_role("link", name=session["fraction_id"]).click()
+    expect(page.locator("#review-signatures")).to_contain_text("Not signed yet.")
+    page.get_by_role("button", name="Sign report").click()
+    expect(page.locator("#review-signatures li")).to_have_text([re.compile(f"^Signed by {OPERATOR}")])
+    with page.expect_download() as report:
+        page.get_by_role("link", name="Report, PDF").click()
+    assert Path(report.value.path()).read_bytes().startswith(b"%PDF")
+    (signature,) = controller.call("GET", f"/sessions/{session['id']}/report")["signatures"]
+    assert (signature["name"], signature["is_signed"]) == (OPERATOR, True)
 
 
 def choose_password(page: Page, password: str) -> None:

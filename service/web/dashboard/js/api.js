@@ -128,6 +128,8 @@ export const readAudit = (wanted) => call("GET", `/audit?${new URLSearchParams(w
 /** `after` is the last row that is verified already; null for the beginning. */
 export const verifyAudit = (after) => call("GET", `/audit/verify${after === null ? "" : `?after=${after}`}`);
 export const auditExportUrl = `${ROOT}/audit/export`;
+export const contractUrl = `${ROOT}/openapi.json`;
+export const readContract = () => call("GET", "/openapi.json");
 export const readMachine = () => call("GET", "/machine");
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
@@ -145,6 +147,8 @@ const person = (name) => `/users/${encodeURIComponent(name)}`;
 export const listPeople = () => call("GET", "/users");
 export const addPerson = (request) => call("POST", "/users", request);
 export const changePerson = (name, changes) => call("PATCH", person(name), changes);
+export const listLogIns = (name) => call("GET", `${person(name)}/logins`);
+export const endLogIn = (name, id) => call("POST", `${person(name)}/logins/${encodeURIComponent(id)}/end`, {});
 export const listKeys = () => call("GET", "/keys");
 export const createKey = (request) => call("POST", "/keys", request);
 export const revokeKey = (id) => call("POST", `/keys/${encodeURIComponent(id)}/revoke`, {});

@@ -12,8 +12,10 @@ import { tr } from "../words/words.js";
 import { auditRoom } from "./audit.js";
 import { machineRoom } from "./machine.js";
 import { modelsRoom } from "./models.js";
+import { peopleRoom } from "./people.js";
 import { plansRoom } from "./plans.js";
 import { qaRoom } from "./qa.js";
+import { referenceRoom } from "./reference.js";
 import { sessionsRoom } from "./sessions.js";
 
 /** By the name in the address: the permission that a room needs, and what fills it. */
@@ -23,7 +25,9 @@ const ROOMS = {
   models: ["sessions.read", modelsRoom],
   qa: ["qa.read", qaRoom],
   audit: ["audit.read", auditRoom],
+  people: ["users.manage", peopleRoom],
   machine: ["metrics.read", machineRoom],
+  reference: ["sessions.read", referenceRoom],
 };
 const ASK_MS = 20_000;
 

@@ -15,6 +15,8 @@ import { tr } from "../words/words.js";
 
 const SIGNALS = ["whole", "thorax", "abdomen"];
 const SHORTEST_S = 0.5;
+/** Steps in which the report counts latencies [ms]. */
+const LATENCY_STEP_MS = 5;
 const FACTOR = 1.5;
 /** Samples further apart are not joined [s]. */
 const JOIN_S = 0.2;
@@ -53,7 +55,7 @@ export class Review {
     Object.assign(this, { id: null, samples: null, range: null, endS: 0, startMs: NaN });
     this.root.hidden = true;
     setText(byId("review-note"), "");
-    for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures"]) byId(name).replaceChildren();
+    for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures", "review-latency"]) byId(name).replaceChildren();
     this.form?.reset();
     if (this.form) this.form.hidden = true;
     say(byId("review-outcome"), "", "");
@@ -93,6 +95,7 @@ export class Review {
       return line;
     };
     byId("review-motion").replaceChildren(row(head, "th"), ...rows.map((one) => row(one, "td")));
+    byId("review-latency").replaceChildren(...histogram(figures.latency_bins ?? []));
     byId("review-look").replaceChildren(...(deviations.length === 0 ? [part("li", tr("review.nothing"))] : deviations.map((one) => part("li", said(one)))));
     byId("review-acts").replaceChildren(...events.map((one) => {
       const line = part("li", "");
@@ -204,6 +207,18 @@ export class Review {
     const text = at.toLocaleTimeString("en-GB");
     return hasTenths ? `${text}.${Math.floor(at.getMilliseconds() / 100)}` : text;
   }
+}
+
+/** Bars of the latencies that occurred, each with its range and count for those who point at it. */
+function histogram(counts) {
+  const most = Math.max(...counts, 1);
+  const last = counts.findLastIndex((one) => one > 0);
+  return counts.slice(0, last + 1).map((count, i) => {
+    const bar = part("i", "");
+    bar.style.height = `${Math.max(100 * (count / most), count > 0 ? 3 : 0)}%`;
+    bar.title = tr("review.frames_from", { from: LATENCY_STEP_MS * i, to: LATENCY_STEP_MS * (i + 1), count });
+    return bar;
+  });
 }
 
 /** Put the session and the part of it into the page's address, or take it out of it. */
