@@ -115,6 +115,7 @@ function trendSection(ended) {
   const picture = part("div", "");
   filled(place, ended, listQaChecks, ({ items }) => {
     const choice = chosen(items.map((one) => [one.code, one.title]));
+    choice.lang = "en";
     const show = () => filled(picture, ended, () => readQaTrend(choice.value, TREND_RUNS), (trend) => (trend.items.length === 0 ? part("p", tr("office.no_runs"), "note") : trendPicture(trend)));
     choice.addEventListener("change", show);
     show();
