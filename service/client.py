@@ -1494,6 +1494,7 @@ class ReportFigures(TypedDict):
     baseline_first: float | None
     baseline_last: float | None
     beam_on_s: float
+    cells: list[list[float | None]]
     duty_percent: float | None
     frames: int
     holds: list[HeldTime]

@@ -48,6 +48,10 @@ class ReportFigures(Answer):
     pulse_s: Range | None
     holds: list[HeldTime]
     motion: list[GatedMotion] = Field(description="Empty without beam on")
+    cells: list[list[float | None]] = Field(
+        description="For each cell of the region grid, from superior right: 95 % of the samples with beam on lie no"
+        " further from the cell's mean [mm]; empty without beam on, null where a cell was hardly seen"
+    )
     period_s: Range | None
     amplitude: Range | None = Field(description="mm; l where the gated signal is a volume")
     baseline_first: float | None = Field(description="Median of the first 30 s in which it is known")

@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from engine.core.clock import NS_PER_S
 from service.core.schemas.reports import GatedMotion, HeldTime, Range, ReportFigures
@@ -14,12 +15,17 @@ from service.storage.samples.figures import LONGEST_STEP_NS, Figures, hold_list
 
 BASELINE_S = 30.0
 BIN_US, BINS = 5_000, 41
+FEWEST = 30
+"""Frames with the beam on that a cell needs for a figure."""
 SIGNALS = ("whole", "thorax", "abdomen")
 NUMBERS = (
     *("decided_ns", "missed_frames", "whole_mm", "thorax_mm", "abdomen_mm", "signal_mm", "volume_l"),
     *("rate_per_min", "breath_amplitude", "breath_baseline"),
 )
 TEXTS = ("gate", "hold_reason", "state")
+
+
+NO_CELLS = np.empty((0, 0, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +35,8 @@ class SampleColumns:
     numbers: dict[str, npt.NDArray[np.float64]]
     texts: dict[str, npt.NDArray[np.object_]]
     decided_ns: npt.NDArray[np.int64]
+    cells_on_mm: npt.NDArray[np.float32] = field(default_factory=lambda: NO_CELLS)
+    """Motion of each cell of the region grid in the frames with the beam on, shape (frames, rows, columns) [mm]."""
 
     @property
     def steps_s(self) -> npt.NDArray[np.float64]:
@@ -44,10 +52,11 @@ class SampleColumns:
 
 def read_columns(batches: Iterable[pa.RecordBatch]) -> tuple[SampleColumns, Figures]:
     """Read the columns of a session, and count what is counted while it runs."""
-    counted, read = Figures(), list[pa.RecordBatch]()
+    counted, read, cells = Figures(), list[pa.RecordBatch](), list[npt.NDArray[np.float32]]()
     for batch in batches:
         counted.add(batch)
         read.append(batch.select([*NUMBERS, *TEXTS]))
+        cells += _cells_on(batch)
     if not read:
         empty = np.empty(0)
         return (
@@ -61,7 +70,21 @@ def read_columns(batches: Iterable[pa.RecordBatch]) -> tuple[SampleColumns, Figu
         if name != "decided_ns"
     }
     texts = {name: table[name].fill_null("").to_numpy(zero_copy_only=False) for name in TEXTS}
-    return SampleColumns(numbers, texts, table["decided_ns"].to_numpy()), counted
+    # A session has one grid; frames of another one, from an older version, are left out.
+    alike = [one for one in cells if one.shape[1:] == cells[0].shape[1:]]
+    cells_on_mm = np.concatenate(alike) if alike else NO_CELLS
+    return SampleColumns(numbers, texts, table["decided_ns"].to_numpy(), cells_on_mm), counted
+
+
+def _cells_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
+    """Return the cells' motion in the frames of a batch with the beam on, shape (frames, rows, columns) [mm]."""
+    on = batch.filter(pc.and_(pc.equal(batch["gate"], "beam_on"), pc.is_valid(batch["region_rows"])))
+    if on.num_rows == 0:
+        return []
+    rows = on["region_rows"][0].as_py()
+    values = on["regions_mm"].flatten().to_numpy(zero_copy_only=False)
+    is_a_grid = pc.all(pc.equal(on["region_rows"], rows)).as_py() and len(values) % (on.num_rows * rows) == 0
+    return [values.reshape(on.num_rows, rows, -1).astype(np.float32)] if is_a_grid else []
 
 
 def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
@@ -83,6 +106,7 @@ def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
         pulses=len(pulses_s(is_on, steps_s)),
         pulse_s=_range(np.array(pulses_s(is_on, steps_s)), 2),
         holds=_held(columns, steps_s),
+        cells=_cells(columns.cells_on_mm),
         motion=[one for one in (_motion(columns, signal, is_on) for signal in SIGNALS) if one is not None],
         period_s=_range(60.0 / np.where(rates > 0.0, rates, np.nan), 2),
         amplitude=_range(columns.numbers["breath_amplitude"], 2),
@@ -121,6 +145,21 @@ def _motion(columns: SampleColumns, signal: str, is_on: npt.NDArray[np.bool_]) -
             "frames": len(values),
         }
     )
+
+
+def _cells(cells_on_mm: npt.NDArray[np.float32]) -> list[list[float | None]]:
+    """Return for each cell within which distance of its own mean 95 % of the frames lie; None where too few saw it."""
+    if len(cells_on_mm) == 0:
+        return []
+    _, rows, columns = cells_on_mm.shape
+    return [[_within_95(cells_on_mm[:, row, column]) for column in range(columns)] for row in range(rows)]
+
+
+def _within_95(values: npt.NDArray[np.float32]) -> float | None:
+    known = values[np.isfinite(values)].astype(np.float64)
+    if len(known) < FEWEST:
+        return None
+    return round(float(np.percentile(np.abs(known - known.mean()), 95.0)), 2)
 
 
 def _held(columns: SampleColumns, steps_s: npt.NDArray[np.float64]) -> list[HeldTime]:

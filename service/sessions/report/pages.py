@@ -92,6 +92,17 @@ def sections(report: SessionReport) -> list[Section]:
         *([Section(title="Position against the plan", rows=list(_position(report)))] if report.position else []),
         *([Section(title="Notes and signatures (UTC)", rows=list(_signatures(report)))] if report.signatures else []),
         Section(title="Who did what (UTC)", rows=list(_events(report)), has_headings=True, is_detail=True),
+        *(
+            [
+                Section(
+                    title="Motion by cell while the beam was on, 95 % within [mm]",
+                    rows=list(_cells(report)),
+                    is_detail=True,
+                )
+            ]
+            if report.figures.cells
+            else []
+        ),
         Section(title="Versions and hashes", rows=list(_versions(report)), is_detail=True),
     ]
 
@@ -154,6 +165,11 @@ def _motion(report: SessionReport) -> Iterator[list[str]]:
         ]
     if not report.figures.motion:
         yield [NONE] * 5
+
+
+def _cells(report: SessionReport) -> Iterator[list[str]]:
+    for row in report.figures.cells:
+        yield [NONE if one is None else f"{one:.2f}" for one in row]
 
 
 def _breathing(report: SessionReport) -> Iterator[list[str]]:

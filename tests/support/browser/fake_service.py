@@ -103,6 +103,7 @@ REPORT = {
         "duty_percent": 34.3,
         "pulses": 26,
         "latency": {"p99_ms": 31.0},
+        "cells": [[round(0.1 * (row + column), 2) for column in range(8)] for row in range(14)],
         "latency_bins": [0, 3, 1100, 200, 40, 2, 1] + [0] * 34,
         "amplitude": {"median": 9.02, "low": 7.9, "high": 10.4},
         "period_s": {"median": 4.01, "low": 3.6, "high": 4.5},

@@ -144,6 +144,9 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     page = tab.page
     page.goto(f"{tab.url}/?session={NEWEST['id']}")
     lines = page.locator("#review-signatures li")
+    page.get_by_text("By cell, 95 % within, mm").click()
+    expect(page.locator("#review-cells tr")).to_have_count(14)
+    expect(page.locator("#review-cells tr").last.locator("td").last).to_have_text("2.0")
     bars = page.locator("#review-latency i")
     expect(bars).to_have_count(7)
     expect(bars.nth(2)).to_have_attribute("title", "10 to 15 ms: 1100 frames")

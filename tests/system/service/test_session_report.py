@@ -2,6 +2,7 @@
 
 import html
 import io
+import math
 import re
 from itertools import groupby
 
@@ -106,7 +107,7 @@ def test_the_motion_while_the_beam_was_on_is_that_of_the_samples(samples, stated
         away = sorted(abs(values - values.mean()))
         place = 0.95 * (len(away) - 1)
         within = away[int(place)] + (place % 1.0) * (away[min(int(place) + 1, len(away) - 1)] - away[int(place)])
-        signed = f"{values.mean():+.2f}".replace("-", MINUS)
+        signed = "0.00" if abs(values.mean()) < 0.005 else f"{values.mean():+.2f}".replace("-", MINUS)
         assert figures == [signed, f"{values.std():.2f}", f"±{within:.2f}", str(len(values))]
 
 
@@ -208,3 +209,23 @@ def test_two_persons_sign_where_one_went_beyond_a_limit_with_a_reason(client, pl
         if row["outcome"] == "done" and row["detail"].get("reason")
     ]
     assert export(client, played, "report").json()["signatures_needed"] == (2 if reasoned else 1)
+
+
+def test_cells_are_those_of_the_samples_with_the_beam_on(client, played, samples):
+    shown = export(client, played, "report").json()["figures"]["cells"]
+    on = [row for row in samples if row["gate"] == "beam_on" and row["region_rows"] is not None]
+    rows = on[0]["region_rows"]
+    columns = len(on[0]["regions_mm"]) // rows
+    assert (len(shown), {len(row) for row in shown}) == (rows, {columns})
+    for place in range(rows * columns):
+        values = [row["regions_mm"][place] for row in on]
+        known = [value for value in values if not math.isnan(value)]
+        found = shown[place // columns][place % columns]
+        if len(known) < 30:
+            assert found is None
+            continue
+        mean = math.fsum(known) / len(known)
+        away = sorted(abs(value - mean) for value in known)
+        at = 0.95 * (len(away) - 1)
+        wanted = away[int(at)] + (at - int(at)) * (away[min(int(at) + 1, len(away) - 1)] - away[int(at)])
+        assert found == pytest.approx(wanted, abs=0.0051)

@@ -55,7 +55,7 @@ export class Review {
     Object.assign(this, { id: null, samples: null, range: null, endS: 0, startMs: NaN });
     this.root.hidden = true;
     setText(byId("review-note"), "");
-    for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures", "review-latency"]) byId(name).replaceChildren();
+    for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures", "review-latency", "review-cells"]) byId(name).replaceChildren();
     this.form?.reset();
     if (this.form) this.form.hidden = true;
     say(byId("review-outcome"), "", "");
@@ -95,6 +95,7 @@ export class Review {
       return line;
     };
     byId("review-motion").replaceChildren(row(head, "th"), ...rows.map((one) => row(one, "td")));
+    byId("review-cells").replaceChildren(...cells(figures.cells ?? []));
     byId("review-latency").replaceChildren(...histogram(figures.latency_bins ?? []));
     byId("review-look").replaceChildren(...(deviations.length === 0 ? [part("li", tr("review.nothing"))] : deviations.map((one) => part("li", said(one)))));
     byId("review-acts").replaceChildren(...events.map((one) => {
@@ -207,6 +208,21 @@ export class Review {
     const text = at.toLocaleTimeString("en-GB");
     return hasTenths ? `${text}.${Math.floor(at.getMilliseconds() / 100)}` : text;
   }
+}
+
+/** The region's cells as the camera sees them, the darker the more they move while the beam is on; each with its number. */
+function cells(rows) {
+  const known = rows.flat().filter((one) => one !== null);
+  const most = Math.max(...known, 0.1);
+  return rows.map((row) => {
+    const line = part("tr", "");
+    line.append(...row.map((one) => {
+      const cell = part("td", one === null ? "–" : fixed(one, 1));
+      if (one !== null) cell.style.background = `color-mix(in srgb, var(--draw-gated) ${Math.round(60 * (one / most))}%, transparent)`;
+      return cell;
+    }));
+    return line;
+  });
 }
 
 /** Bars of the latencies that occurred, each with its range and count for those who point at it. */
