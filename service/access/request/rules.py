@@ -29,7 +29,6 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", "/healthz"): Open.PUBLIC,
     ("GET", "/readyz"): Open.ANYONE_LOGGED_IN,
     ("GET", "/metrics"): Permission.METRICS_READ,
-    ("GET", f"{V1}/machine"): Permission.METRICS_READ,
     ("GET", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     ("HEAD", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     (SOCKET, f"{V1}/live"): Permission.SESSIONS_READ,
@@ -119,7 +118,8 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/qa/latency"): Permission.QA_READ,
     ("GET", f"{V1}/qa/baseline"): Permission.QA_READ,
     ("PUT", f"{V1}/qa/baseline"): Permission.QA_BASELINE,
-    # Audit
+    # Audit, and the settings that it records at each start
+    ("GET", f"{V1}/machine"): Permission.AUDIT_READ,
     ("GET", f"{V1}/audit"): Permission.AUDIT_READ,
     ("GET", f"{V1}/audit/verify"): Permission.AUDIT_READ,
     ("GET", f"{V1}/audit/export"): Permission.AUDIT_READ,

@@ -26,7 +26,7 @@ const ROOMS = {
   qa: ["qa.read", qaRoom],
   audit: ["audit.read", auditRoom],
   people: ["users.manage", peopleRoom],
-  machine: ["metrics.read", machineRoom],
+  machine: ["audit.read", machineRoom],
   reference: ["sessions.read", referenceRoom],
 };
 const ASK_MS = 20_000;
