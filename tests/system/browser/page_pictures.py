@@ -81,6 +81,8 @@ def take(page: Page, out: Path, name: str) -> None:
 def main(arguments: list[str]) -> None:
     """Write the pictures."""
     is_documentation = arguments == ["--documentation"]
+    if not is_documentation and (not arguments or arguments[0].startswith("-")):
+        sys.exit(__doc__)
     out = ROOT / "docs" / "pictures" if is_documentation else Path(arguments[0])
     out.mkdir(parents=True, exist_ok=True)
     door = Door()
