@@ -362,6 +362,7 @@ def export_samples(
 
 
 REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
+SIGN_REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError, OperatorMismatchError)
 
 
 @router.get("/{session_id}/report", responses=REPORT)
@@ -370,7 +371,7 @@ def read_report(session_id: dependencies.SessionId, services: dependencies.AppSe
     return services.reports.of(session_id).report
 
 
-@router.post("/{session_id}/signature", name="session.signature", responses=REPORT)
+@router.post("/{session_id}/signature", name="session.signature", responses=SIGN_REPORT)
 def sign_report(
     session_id: dependencies.SessionId,
     request: SignatureRequest,

@@ -164,6 +164,7 @@ class World:
             "acknowledge_fault": lambda _: {},
             "sign_position": lambda _: {"reference_number": 1},
             "countersign": lambda _: {"state": "5e" * 16},
+            "sign_report": lambda _: self._note_body(),
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -280,6 +281,10 @@ class World:
             "calibration_id": self.known["calibration_id"],
             "plate": {"source": {"kind": "recording", "path": "plate.oni"}},
         }
+
+    def _note_body(self) -> dict[str, Any]:
+        report = self._services.reports.of(self.known["ended_session_id"]).report
+        return {"is_signed": False, "note": "calm breathing", "samples_sha256": report.samples_sha256}
 
     def _log_in_body(self) -> dict[str, Any]:
         open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})

@@ -34,7 +34,7 @@ def test_every_error_has_its_place_in_the_table(kind):
     ("method", "path", "status", "code"),
     [
         ("GET", "/api/v1/nothing", 404, "not_found"),
-        ("GET", "/nothing.html", 404, "not_found"),
+        ("GET", "/none.html", 404, "not_found"),
         ("GET", "/../../etc/passwd", 404, "not_found"),
         ("GET", "/%2e%2e/%2e%2e/etc/passwd", 404, "not_found"),
         ("DELETE", "/api/v1/sessions", 405, "method_not_allowed"),
