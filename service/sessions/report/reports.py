@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -87,6 +88,7 @@ class ReportService:
     def __init__(self, database: Database, store: SampleStore) -> None:
         self._database, self._store = database, store
         self._log = AuditLog(database)
+        self._signing = threading.Lock()
 
     def sign(self, session_id: str, request: SignatureRequest, actor: str) -> SessionReport:
         """Add a note or a signature to the audit; return the report with it.
@@ -97,7 +99,8 @@ class ReportService:
             The report is another one than the person looked at, or the person has signed it already.
         """
         detail = request.model_dump(exclude={"operator"})
-        with self._log.refusals(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail):
+        # One at a time: of two calls of one person at once, the second sees the first one's signature.
+        with self._signing, self._log.refusals(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail):
             present = self.of(session_id).report
             if request.samples_sha256 != present.samples_sha256:
                 bound = "that of the report as it is now: read it again"
@@ -106,7 +109,7 @@ class ReportService:
             if request.is_signed and any(one.is_signed and one.name == actor for one in present.signatures):
                 msg = f"{actor} has signed this report already: the second signature is another person's"
                 raise SessionStateError(msg, field="operator", value=actor, bound="a person who has not signed")
-        self._log.write(Event(actor=actor, action=SIGNATURE, outcome="done", session_id=session_id, detail=detail))
+            self._log.write(Event(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail))
         return self.of(session_id).report
 
     def of(self, session_id: str) -> StoredReport:

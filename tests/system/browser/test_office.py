@@ -21,7 +21,7 @@ from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.browser
 
-ROOMS = ("sessions", "plans", "models", "qa", "audit", "machine", "reference")
+ROOMS = ("sessions", "plans", "models", "qa", "audit", "machine", "api")
 CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text())
 GERMAN = json.loads((DASHBOARD / "lang" / "de.json").read_text())
 PHYSICIST = person("P. Hysicist", Role.PHYSICIST)
@@ -183,7 +183,7 @@ def test_an_administrator_sees_who_is_logged_in_and_ends_a_log_in(fake: FakeServ
 
 
 def test_every_call_of_the_contract_is_there_and_opens_with_its_fields(office: Tab):
-    page = opened(office, "reference")
+    page = opened(office, "api")
     calls = [f"{method.upper()} {path}" for path, one in CONTRACT["paths"].items() for method in one]
     assert sorted(page.locator("#room summary").all_inner_texts()) == sorted(calls)
     page.get_by_text("POST /api/v1/sessions/{session_id}/hold", exact=True).click()

@@ -4,6 +4,7 @@ import html
 import io
 import math
 import re
+from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
 import numpy as np
@@ -199,6 +200,12 @@ def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, play
     assert page.count("signed 20") == 2
     outcomes = [row["outcome"] for row in audit_rows(client, "session.signature")]
     assert sorted(outcomes) == ["done"] * 3 + ["refused"] * 3
+
+
+def test_of_two_signatures_of_one_person_at_once_one_is_refused(client, played):
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda _: sign(client, played, "A. Therapist").status_code, range(4)))
+    assert sorted(answers) == [200, 409, 409, 409]
 
 
 def test_two_persons_sign_where_one_went_beyond_a_limit_with_a_reason(client, played):

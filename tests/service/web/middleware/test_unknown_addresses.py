@@ -1,4 +1,4 @@
-"""An address without anything: a page for a browser, a problem for a program, whoever asks."""
+"""An address without anything answers a browser with a page and a program with a problem."""
 
 import pytest
 from starlette.testclient import TestClient

@@ -10,12 +10,12 @@ import "../drawing/theme.js";
 import { rolesText } from "../people/permissions.js";
 import { tr } from "../words/words.js";
 import { auditRoom } from "./audit.js";
+import { contractRoom } from "./contract.js";
 import { machineRoom } from "./machine.js";
 import { modelsRoom } from "./models.js";
 import { peopleRoom } from "./people.js";
 import { plansRoom } from "./plans.js";
 import { qaRoom } from "./qa.js";
-import { referenceRoom } from "./reference.js";
 import { sessionsRoom } from "./sessions.js";
 
 /** By the name in the address: the permission that a room needs, and what fills it. */
@@ -27,7 +27,7 @@ const ROOMS = {
   audit: ["audit.read", auditRoom],
   people: ["users.manage", peopleRoom],
   machine: ["audit.read", machineRoom],
-  reference: ["sessions.read", referenceRoom],
+  api: ["sessions.read", contractRoom],
 };
 const ASK_MS = 20_000;
 

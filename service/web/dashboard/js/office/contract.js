@@ -8,9 +8,9 @@ import { filled, link, table } from "./parts.js";
 const METHODS = ["get", "post", "put", "patch"];
 const BOUNDS = { minimum: "≥", exclusiveMinimum: ">", maximum: "≤", exclusiveMaximum: "<", minLength: "≥", maxLength: "≤", pattern: "" };
 
-export function referenceRoom({ root, ended }) {
+export function contractRoom({ root, ended }) {
   const place = part("div", "");
-  root.append(part("p", tr("office.reference_note"), "note"), link(tr("office.contract"), contractUrl, true), place);
+  root.append(part("p", tr("office.api_note"), "note"), link(tr("office.contract"), contractUrl, true), place);
   filled(place, ended, readContract, (contract) => tagged(contract).map(([tag, calls]) => group(tag, calls, contract)));
 }
 
