@@ -3,6 +3,8 @@
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
+CLIENT_VENV := .venv-client-generator
+CLIENT_STAMP := $(CLIENT_VENV)/.installed
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
@@ -13,7 +15,13 @@ export PYTHONDONTWRITEBYTECODE ?= 1
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-setup: $(STAMP) openni  ## make .venv from the lock file, and the OpenNI2 runtime where it may
+setup: $(STAMP) $(CLIENT_STAMP) openni  ## make .venv from the lock file, and the OpenNI2 runtime where it may
+
+# A generator of clients, for one test: it needs an older typer than the product.
+$(CLIENT_STAMP): tests/client_generator.lock $(STAMP)
+	@test -x $(CLIENT_VENV)/bin/python || $(BIN)/python -m venv $(CLIENT_VENV)
+	$(CLIENT_VENV)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r tests/client_generator.lock
+	@touch $(CLIENT_STAMP)
 
 $(STAMP): requirements-dev.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
@@ -121,5 +129,6 @@ lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(PIP_COMPILE) -o requirements.lock pyproject.toml
 	$(PIP_COMPILE) --extra cluster -c requirements.lock -o requirements-cluster.lock pyproject.toml
 	$(PIP_COMPILE) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	$(PIP_COMPILE) -o tests/client_generator.lock tests/client_generator.in
 clean:  ## remove what was built, keep recordings
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis mutants

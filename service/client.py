@@ -1482,7 +1482,7 @@ class GatedMotion(TypedDict):
     deviation_mm: float
     frames: int
     mean_mm: float
-    signal: Literal["whole", "thorax", "abdomen"]
+    signal: str
     within_95_mm: float
 
 

@@ -25,6 +25,7 @@ class MachineDescription:
 
     settings: Settings
     readiness: Callable[[], Readiness]
+    backup_at: Callable[[], datetime | None]
     certificate: ServedCertificate | None = None
     started_at: datetime = field(default_factory=lambda: datetime.now(UTC))
 
@@ -40,6 +41,7 @@ class MachineDescription:
             now=datetime.now(UTC),
             disk_free_mb=disk.free // MIB,
             disk_total_mb=disk.total // MIB,
+            backup_at=self.backup_at(),
             certificate_ends_at=None if self.certificate is None else self.certificate.ends_at,
             readiness=self.readiness(),
             settings=self._settings(),

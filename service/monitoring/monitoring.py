@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import datetime
 
 from prometheus_client.registry import Collector
 
@@ -19,6 +20,7 @@ from service.monitoring.readiness import ReadinessProbe
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.counters import SessionCounters
 from service.storage.audit.supervision import AuditSupervision
+from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.files.cleanup import CleanupWorker
 
@@ -85,11 +87,21 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
     collectors = (EngineMetrics(services.equipment, services.engine), collector, *others)
     registry = services.counters.registry
     machine = MachineDescription(
-        settings=services.settings, readiness=health.readiness, certificate=services.certificate
+        settings=services.settings,
+        readiness=health.readiness,
+        backup_at=lambda: _newest_backup(services.database),
+        certificate=services.certificate,
     )
     return Monitoring(
         health=health, machine=machine, metrics=Metrics(registry, collectors), http=HttpCounters(registry)
     )
+
+
+def _newest_backup(database: Database) -> datetime | None:
+    """Return when a backup was last recorded in the audit."""
+    with database.read() as db:
+        row = queries.newest_done(db, None, ["backup.made"])
+        return None if row is None else datetime.fromisoformat(row.at)
 
 
 def _trouble_of(engine: EnginePort) -> Callable[[], str | None]:

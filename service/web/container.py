@@ -34,6 +34,7 @@ from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
 from service.sessions.report.reports import ReportService
+from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import SYSTEM, Event
 from service.storage.audit.anchors import AnchorFile
@@ -281,6 +282,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         arming=work.arming,
         samples=SampleService(database, storage.samples),
         reports=ReportService(database, storage.samples),
+        traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),
         models=ModelRepository(database, dependencies.equipment, ModelStore(settings.data_dir / MODELS_FOLDER)),

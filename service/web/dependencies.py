@@ -32,6 +32,7 @@ from service.sessions.records.calibrations import CalibrationRepository, ModelRe
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.report.reports import ReportService
+from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import chain
 from service.storage.audit.service import AuditService
@@ -55,6 +56,7 @@ class Services:
     arming: ArmingSummaries
     samples: SampleService
     reports: ReportService
+    traces: SessionTraces
     calibrations: CalibrationRepository
     recordings: RecordingList
     models: ModelRepository

@@ -29,8 +29,9 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", "/healthz"): Open.PUBLIC,
     ("GET", "/readyz"): Open.ANYONE_LOGGED_IN,
     ("GET", "/metrics"): Permission.METRICS_READ,
-    ("GET", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
-    ("HEAD", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
+    # The contract is published with the source; who writes a client reads it without an account.
+    ("GET", f"{V1}/openapi.json"): Open.PUBLIC,
+    ("HEAD", f"{V1}/openapi.json"): Open.PUBLIC,
     (SOCKET, f"{V1}/live"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/live/events"): Permission.SESSIONS_READ,
     # Log-ins, people, keys
@@ -59,6 +60,8 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", SESSION): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/samples"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/report"): Permission.SESSIONS_READ,
+    ("GET", f"{SESSION}/trace"): Permission.SESSIONS_READ,
+    ("GET", f"{SESSION}/moment"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/report.pdf"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/report.html"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/picture"): Permission.SESSIONS_READ,
@@ -86,6 +89,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/models/{{model_id}}"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/models/{{model_id}}/spectrum"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/models/{{model_id}}/quality-maps"): Permission.SESSIONS_READ,
+    ("GET", f"{V1}/models/{{model_id}}/similarity"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/devices"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/recordings"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/interlocks"): Permission.SESSIONS_READ,

@@ -157,6 +157,7 @@ class Machine(Answer):
     now: AwareDatetime = Field(description="The service's clock")
     disk_free_mb: int = Field(description="Free space on the disk of the data folder")
     disk_total_mb: int
+    backup_at: AwareDatetime | None = Field(description="When `tidegate backup` last made one; null if never")
     certificate_ends_at: AwareDatetime | None = Field(description="null where the service does not terminate TLS")
     readiness: Readiness
     settings: list[MachineSetting] = Field(description="Section by section, each in alphabetical order")

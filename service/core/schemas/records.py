@@ -91,6 +91,19 @@ class Spectrum(Answer):
     share: list[float] = Field(description="Shares of the variance, 0 to 1")
 
 
+class ModelSimilarity(Answer):
+    """How alike two models of a patient are, on the grid that the markers span."""
+
+    model_id: Identifier
+    other_id: Identifier
+    explained_share: float = Field(
+        description="Share of the model's motion that the other's components can express; 1: the same breathing"
+    )
+    first_angle_deg: float = Field(description="Angle of the model's first component to the other's components")
+    shift_mm: float | None = Field(description="Mean of model less other of the mean depths; null if none is common")
+    shape_mm: float | None = Field(description="Standard deviation of that difference: the shape that has changed")
+
+
 class QualityMaps(Answer):
     """What a model does with the frames it was trained from, on every fourth row and column of the region.
 

@@ -13,7 +13,7 @@ ResidualSignal = Literal["whole", "thorax", "abdomen"]
 class GatedMotion(Answer):
     """Motion while the beam was on, of one signal, around its own mean."""
 
-    signal: ResidualSignal
+    signal: str = Field(description="whole, thorax, abdomen, or the name of a named region")
     mean_mm: float
     deviation_mm: float = Field(description="Standard deviation")
     within_95_mm: float = Field(description="95 % of the samples lie no further from the mean")
@@ -59,6 +59,55 @@ class ReportFigures(Answer):
     latency: LatencyView
     latency_bins: list[int] = Field(
         description="Frames by latency, from 0 ms in steps of 5 ms; those of 200 ms and more are in the last"
+    )
+
+
+class SignalRange(Answer):
+    """Least and most of a signal in each range of a trace; null where nothing was measured."""
+
+    signal: ResidualSignal
+    low_mm: list[float | None]
+    high_mm: list[float | None]
+
+
+class TraceHold(Answer):
+    """A stretch in which the gate held for one reason; times since the session's first frame."""
+
+    from_s: float
+    to_s: float
+    gate: str = Field(description="hold or fault")
+    reason: str
+
+
+class SessionTrace(Answer):
+    """A part of the trace of a session that is over, at the scale that was asked for."""
+
+    session_id: Identifier
+    first_at: AwareDatetime | None = Field(description="Time of day of the first frame; null where it is not recorded")
+    end_s: float = Field(description="Time of the last frame since the first")
+    step_s: float = Field(description="Length of a range; 0 where each range is one sample")
+    times_s: list[float] = Field(description="Of the first sample of each range, since the first frame")
+    signals: list[SignalRange]
+    beams_s: list[list[float]] = Field(description="Beginning and end of each stretch with the beam on")
+    holds: list[TraceHold] = Field(description="Oldest first, without those for the breath outside its window")
+
+
+class SessionMoment(Answer):
+    """One sample of a session that is over, with the breathing surface."""
+
+    session_id: Identifier
+    at_s: float = Field(description="Time of the sample since the first frame")
+    frame_index: int
+    gate: str
+    hold_reason: str | None
+    lost_reason: str | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    cells_mm: list[list[float | None]] = Field(description="By row from superior, and column from the patient's right")
+    surface_mm: list[list[list[float] | None]] = Field(
+        description="Nodes of the region's grid: the model's mean surface, its holes filled, moved by the cells"
+        " around each; x right, y down, z away from the depth camera. Empty without a model or a measurement"
     )
 
 

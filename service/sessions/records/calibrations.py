@@ -22,7 +22,15 @@ from engine.core.errors import RecordingError
 from engine.core.frames import FloatArray
 from service.core.errors import BoundError, NotFoundError
 from service.core.schemas import records as schemas
-from service.core.schemas.records import Model, ModelPage, QualityMaps, Recording, RecordingPage, Spectrum
+from service.core.schemas.records import (
+    Model,
+    ModelPage,
+    ModelSimilarity,
+    QualityMaps,
+    Recording,
+    RecordingPage,
+    Spectrum,
+)
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.site_rules.calibrations import refuse_reserved_name
 from service.engine_host.site_rules.recording_folders import find_recording, recording_paths
@@ -213,6 +221,37 @@ class ModelRepository:
                 "reconstructed_mm": None if surface_mm is None else _rows(mean_mm - surface_mm),
                 "residual_mm": None if residual_mm is None else _rows(residual_mm),
             }
+        )
+
+    def similarity(self, model_id: str, other_id: str) -> ModelSimilarity:
+        """Compare two models of a patient, on the grid that the markers span.
+
+        Raises
+        ------
+        NotFoundError, ModelError
+            One of them does not exist, or its file is missing or damaged.
+        BoundError
+            They are of different patients.
+        """
+        with self._database.read() as db:
+            rows = [queries.model_row(db, one) for one in (model_id, other_id)]
+            patients = {queries.session_row(db, row.session_id).patient_reference for row in rows}
+        if len(patients) > 1:
+            bound = "a model of the same patient"
+            raise BoundError(f"other must be {bound}", field="other", value=other_id, bound=bound)
+        model, other = (self._store.load(row.sha256) for row in rows)
+        ours, theirs = (one.components.reshape(len(one.components), -1).astype(np.float64) for one in (model, other))
+        cosines = ours @ theirs.T
+        variance_mm2 = model.eigenvalues_mm2[: len(ours)]
+        shift_mm = (model.mean_mm - other.mean_mm)[model.known & other.known].astype(np.float64)
+        first_cosine = np.clip(np.linalg.norm(cosines[0]), 0.0, 1.0)
+        return ModelSimilarity(
+            model_id=model_id,
+            other_id=other_id,
+            explained_share=round(float(variance_mm2 @ (cosines**2).sum(axis=1) / variance_mm2.sum()), 4),
+            first_angle_deg=round(float(np.degrees(np.arccos(first_cosine))), 2),
+            shift_mm=round(float(shift_mm.mean()), DECIMALS) if len(shift_mm) else None,
+            shape_mm=round(float(shift_mm.std()), DECIMALS) if len(shift_mm) else None,
         )
 
     def _model(self, row: ModelRow, session: SessionRow) -> Model:

@@ -1,7 +1,8 @@
 """Figures of a session's report, computed from its samples alone: the export is enough to compute them again."""
 
+import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +27,7 @@ TEXTS = ("gate", "hold_reason", "state")
 
 
 NO_CELLS = np.empty((0, 0, 0), dtype=np.float32)
+NO_NAMED = np.empty((0, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +39,8 @@ class SampleColumns:
     decided_ns: npt.NDArray[np.int64]
     cells_on_mm: npt.NDArray[np.float32] = field(default_factory=lambda: NO_CELLS)
     """Motion of each cell of the region grid in the frames with the beam on, shape (frames, rows, columns) [mm]."""
+    named_on_mm: npt.NDArray[np.float32] = field(default_factory=lambda: NO_NAMED)
+    """Motion of each named region in the frames with the beam on, shape (frames, regions) [mm]."""
 
     @property
     def steps_s(self) -> npt.NDArray[np.float64]:
@@ -53,10 +57,12 @@ class SampleColumns:
 def read_columns(batches: Iterable[pa.RecordBatch]) -> tuple[SampleColumns, Figures]:
     """Read the columns of a session, and count what is counted while it runs."""
     counted, read, cells = Figures(), list[pa.RecordBatch](), list[npt.NDArray[np.float32]]()
+    named = list[npt.NDArray[np.float32]]()
     for batch in batches:
         counted.add(batch)
         read.append(batch.select([*NUMBERS, *TEXTS]))
         cells += _cells_on(batch)
+        named += _named_on(batch)
     if not read:
         empty = np.empty(0)
         return (
@@ -70,10 +76,20 @@ def read_columns(batches: Iterable[pa.RecordBatch]) -> tuple[SampleColumns, Figu
         if name != "decided_ns"
     }
     texts = {name: table[name].fill_null("").to_numpy(zero_copy_only=False) for name in TEXTS}
-    # A session has one grid; frames of another one, from an older version, are left out.
-    alike = [one for one in cells if one.shape[1:] == cells[0].shape[1:]]
-    cells_on_mm = np.concatenate(alike) if alike else NO_CELLS
-    return SampleColumns(numbers, texts, table["decided_ns"].to_numpy(), cells_on_mm), counted
+    cells_on_mm, named_on_mm = _alike(cells, NO_CELLS), _alike(named, NO_NAMED)
+    return SampleColumns(numbers, texts, table["decided_ns"].to_numpy(), cells_on_mm, named_on_mm), counted
+
+
+def _alike(parts: list[npt.NDArray[np.float32]], nothing: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Join the parts; a session has one grid, and frames of another one, from an older version, are left out."""
+    return np.concatenate([one for one in parts if one.shape[1:] == parts[0].shape[1:]]) if parts else nothing
+
+
+def _named_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
+    """Return the named regions' motion in the frames of a batch with the beam on, shape (frames, regions) [mm]."""
+    on = batch.filter(pc.and_(pc.equal(batch["gate"], "beam_on"), pc.is_valid(batch["named_mm"])))
+    values = on["named_mm"].flatten().to_numpy(zero_copy_only=False)
+    return [values.reshape(on.num_rows, -1).astype(np.float32)] if len(values) else []
 
 
 def _cells_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
@@ -87,14 +103,17 @@ def _cells_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
     return [values.reshape(on.num_rows, rows, -1).astype(np.float32)] if is_a_grid else []
 
 
-def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
-    """Compute the figures of a report."""
+def report_figures(columns: SampleColumns, counted: Figures, named: Sequence[str] = ()) -> ReportFigures:
+    """Compute the figures of a report; ``named`` are the names of the named regions, in the samples' order."""
     gate, steps_s = columns.texts["gate"], columns.steps_s
     is_on, is_armed = gate == "beam_on", gate != "disarmed"
     armed_s, on_s = float(steps_s[is_armed].sum()), float(steps_s[is_on].sum())
     summary = counted.summary()
     first, last = _baselines(columns)
     rates = columns.numbers["rate_per_min"]
+    motion = {signal: columns.numbers[f"{signal}_mm"][is_on] for signal in SIGNALS}
+    if columns.named_on_mm.shape[1] == len(named):
+        motion |= dict(zip(named, columns.named_on_mm.T.astype(np.float64), strict=True))
     return ReportFigures(
         frames=counted.frames,
         missed_frames=counted.missed_frames,
@@ -107,7 +126,7 @@ def report_figures(columns: SampleColumns, counted: Figures) -> ReportFigures:
         pulse_s=_range(np.array(pulses_s(is_on, steps_s)), 2),
         holds=_held(columns, steps_s),
         cells=_cells(columns.cells_on_mm),
-        motion=[one for one in (_motion(columns, signal, is_on) for signal in SIGNALS) if one is not None],
+        motion=[one for one in itertools.starmap(_motion, motion.items()) if one is not None],
         period_s=_range(60.0 / np.where(rates > 0.0, rates, np.nan), 2),
         amplitude=_range(columns.numbers["breath_amplitude"], 2),
         baseline_first=first,
@@ -130,8 +149,7 @@ def pulses_s(is_on: npt.NDArray[np.bool_], steps_s: npt.NDArray[np.float64]) -> 
     return [float(steps_s[start:end].sum()) for start, end in edges.reshape(-1, 2)]
 
 
-def _motion(columns: SampleColumns, signal: str, is_on: npt.NDArray[np.bool_]) -> GatedMotion | None:
-    values = columns.numbers[f"{signal}_mm"][is_on]
+def _motion(signal: str, values: npt.NDArray[np.float64]) -> GatedMotion | None:
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return None

@@ -29,7 +29,7 @@ from service.storage.audit.chain import Event
 from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
-from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow
+from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, SessionRow
 from service.storage.samples.service import SampleService
 from service.storage.samples.store import SampleStore
 
@@ -126,11 +126,7 @@ class ReportService:
         """
         with self._database.read() as db:
             row = queries.session_row(db, session_id)
-            if row.started_at is None or row.status in OPEN:
-                msg = "a report is made of a session that was started and is over"
-                raise SessionStateError(
-                    msg, field="session_id", value=row.status, bound="ended, stopped or interrupted"
-                )
+            refuse_open(row)
             SampleService(self._database, self._store).refuse_removed(session_id, row.summary)
             session = session_answer(row)
             rows = list(_rows(db, session_id))
@@ -140,8 +136,8 @@ class ReportService:
             )
             model = "" if newest is None else f"no. {newest.number}, {newest.components} components, {newest.sha256}"
         columns, counted = read_columns(self._store.batches(session_id))
-        figures = report_figures(columns, counted)
         head = self._store.head(session_id)
+        figures = report_figures(columns, counted, () if head is None else head.regions)
         report = SessionReport(
             session_id=session_id,
             session=session,
@@ -158,6 +154,13 @@ class ReportService:
             settings_sha256="" if head is None else head.settings_sha256,
         )
         return StoredReport(report, columns)
+
+
+def refuse_open(row: SessionRow) -> None:
+    """Raise SessionStateError for a session that is not over, or was never started."""
+    if row.started_at is None or row.status in OPEN:
+        msg = "a session can be reviewed once it was started and is over"
+        raise SessionStateError(msg, field="session_id", value=row.status, bound="ended, stopped or interrupted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -191,8 +191,8 @@ def continuation_of(db: Session, session_id: str) -> str | None:
     return db.scalar(select(SessionRow.id).where(*continued).limit(1))
 
 
-def newest_done(db: Session, session_id: str, actions: Sequence[str]) -> AuditRow | None:
-    """Return the newest row of these actions of a session that were done; None without one."""
+def newest_done(db: Session, session_id: str | None, actions: Sequence[str]) -> AuditRow | None:
+    """Return the newest row of these actions, of a session or of the service, that were done; None without one."""
     query = select(AuditRow).where(
         AuditRow.session_id == session_id, AuditRow.action.in_(actions), AuditRow.outcome == "done"
     )

@@ -1,7 +1,7 @@
 """A closed session's samples as Parquet: written complete or not at all, and read back before it is used."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,10 +87,17 @@ def write_parquet(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatc
     return stored
 
 
-def read_parquet(path: Path) -> Iterator[pa.RecordBatch]:
+def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
     """Read it a piece at a time; the file is opened at once, and stays readable when it is taken away meanwhile."""
     file = pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False)
-    return _pieces(file)
+    return _pieces(file, columns)
+
+
+def read_row(path: Path, index: int) -> pa.RecordBatch:
+    """Read one row, from its row group alone."""
+    with pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False) as file:
+        group = file.read_row_group(index // ROWS_A_GROUP, use_threads=False)
+        return group.slice(index % ROWS_A_GROUP, 1).combine_chunks().to_batches()[0]
 
 
 def parquet_head(path: Path) -> tuple[SampleHead, int]:
@@ -99,9 +106,9 @@ def parquet_head(path: Path) -> tuple[SampleHead, int]:
         return head_of(file.schema_arrow.metadata or {}), int(file.metadata.num_rows)
 
 
-def _pieces(file: pq.ParquetFile) -> Iterator[pa.RecordBatch]:
+def _pieces(file: pq.ParquetFile, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
     with file:
-        yield from file.iter_batches(batch_size=READ_ROWS, use_threads=False)
+        yield from file.iter_batches(batch_size=READ_ROWS, columns=columns, use_threads=False)
 
 
 def _write(partial: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> tuple[list[str], int]:

@@ -6,7 +6,8 @@ closing a session can be repeated: settle, record the session's end, only then r
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,14 @@ import pyarrow as pa
 
 from engine.core.files import put_in_place, remove, sync_folder
 from service.storage.samples.layout import SampleHead
-from service.storage.samples.parquet import NotReadBackError, Stored, parquet_head, read_parquet, write_parquet
+from service.storage.samples.parquet import (
+    NotReadBackError,
+    Stored,
+    parquet_head,
+    read_parquet,
+    read_row,
+    write_parquet,
+)
 from service.storage.samples.stream import SampleStream
 from service.storage.samples.walk import Ending, NoSamplesError, StreamWalk
 
@@ -76,14 +84,25 @@ class SampleStore:
         self.folder.mkdir(parents=True, exist_ok=True)
         return SampleStream(self.stream_path(head.session_id), head)
 
-    def batches(self, session_id: str) -> Iterator[pa.RecordBatch]:
-        """Read a session's samples, as far as they are written; nothing where there is no file."""
+    def batches(self, session_id: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """Read a session's samples, or some of their columns, as far as they are written; nothing without a file."""
         for read in (self._read_stream, self._read_parquet):  # a stream is removed only after its Parquet file exists
             try:
-                return read(session_id)
+                return read(session_id, columns)
             except FileNotFoundError:
                 continue
         return iter(())
+
+    def row(self, session_id: str, index: int) -> pa.RecordBatch:
+        """Read the sample with this number, from 0; raise FileNotFoundError where there is none."""
+        if self.stream_path(session_id).exists():
+            for batch in self._read_stream(session_id, None):
+                if index < batch.num_rows:
+                    return batch.slice(index, 1)
+                index -= batch.num_rows
+            raise FileNotFoundError(self.stream_path(session_id))
+        with _readable(session_id):
+            return read_row(self.parquet_path(session_id), index)
 
     def has(self, session_id: str) -> bool:
         """Whether there is a file of this session."""
@@ -165,15 +184,12 @@ class SampleStore:
     def _named(self, suffix: str) -> list[str]:
         return sorted(path.stem for path in self.folder.glob(f"*{suffix}") if "." not in path.stem)
 
-    def _read_parquet(self, session_id: str) -> Iterator[pa.RecordBatch]:
-        try:
-            return read_parquet(self.parquet_path(session_id))
-        except pa.ArrowException as error:
-            msg = f"the sample file of session {session_id} cannot be read"
-            raise NoSamplesError(msg) from error
+    def _read_parquet(self, session_id: str, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
+        with _readable(session_id):
+            return read_parquet(self.parquet_path(session_id), columns)
 
-    def _read_stream(self, session_id: str) -> Iterator[pa.RecordBatch]:
-        return _pieces(StreamWalk(self.stream_path(session_id)))
+    def _read_stream(self, session_id: str, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
+        return _pieces(StreamWalk(self.stream_path(session_id)), columns)
 
     def _keep_aside(self, path: Path) -> str:
         """Preserve the damaged file under a second name: as a hard link, or a copy where links are not supported."""
@@ -189,9 +205,19 @@ class SampleStore:
         return aside.name
 
 
-def _pieces(walk: StreamWalk) -> Iterator[pa.RecordBatch]:
+def _pieces(walk: StreamWalk, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
     with walk:
-        yield from walk
+        yield from walk if columns is None else (batch.select(list(columns)) for batch in walk)
+
+
+@contextmanager
+def _readable(session_id: str) -> Iterator[None]:
+    """Raise NoSamplesError where the file that is read is damaged."""
+    try:
+        yield
+    except pa.ArrowException as error:
+        msg = f"the sample file of session {session_id} cannot be read"
+        raise NoSamplesError(msg) from error
 
 
 def _shown(batches: StreamWalk, watch: Callable[[pa.RecordBatch], None]) -> Iterator[pa.RecordBatch]:

@@ -1,19 +1,22 @@
 """Routes of motion models: list, read, spectrum, quality maps, train again, activate."""
 
 from functools import partial
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
 from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, TrainingRefusedError
 from service.core.conditional import etag_of
-from service.core.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
+from service.core.errors import BoundError, EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 from service.core.schemas import sessions
-from service.core.schemas.records import Model, ModelPage, QualityMaps, Spectrum
+from service.core.schemas.base import Identifier
+from service.core.schemas.records import Model, ModelPage, ModelSimilarity, QualityMaps, Spectrum
 from service.web import dependencies
 from service.web.api import problems
 from service.web.operator_calls import Operated
 
 router = APIRouter(tags=["models"])
+OtherModel = Annotated[Identifier, Query(description="The model that it is compared with")]
 READ = problems(NotFoundError)
 ACT = problems(
     NotFoundError,
@@ -71,6 +74,14 @@ def read_spectrum(model_id: dependencies.ModelId, services: dependencies.AppServ
 def read_quality_maps(model_id: dependencies.ModelId, services: dependencies.AppServices) -> QualityMaps:
     """Return the deepest breath of the training, measured and reconstructed, and the map of the residuals."""
     return services.models.quality_maps(model_id)
+
+
+@router.get("/models/{model_id}/similarity", responses=problems(NotFoundError, BoundError, ModelError))
+def read_similarity(
+    model_id: dependencies.ModelId, services: dependencies.AppServices, other: OtherModel
+) -> ModelSimilarity:
+    """Compare a model with another one of the same patient, such as that of an earlier fraction."""
+    return services.models.similarity(model_id, other)
 
 
 @router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)

@@ -53,7 +53,7 @@ from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.base import Name
 from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
-from service.core.schemas.reports import SessionReport, SignatureRequest
+from service.core.schemas.reports import SessionMoment, SessionReport, SessionTrace, SignatureRequest
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
@@ -362,6 +362,34 @@ def export_samples(
 
 
 REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
+LONGEST_S = 200_000.0
+TraceFrom = Annotated[float, Query(ge=0.0, le=LONGEST_S, allow_inf_nan=False, description="Since the first frame [s]")]
+TraceTo = Annotated[float, Query(gt=0.0, le=LONGEST_S, allow_inf_nan=False, description="After `from_s` [s]")]
+TracePoints = Annotated[
+    int, Query(ge=10, le=5000, description="Ranges at most; fewer samples are returned as they are")
+]
+
+
+@router.get("/{session_id}/trace", responses={**REPORT, **problems(BoundError)})
+def read_trace(
+    session_id: dependencies.SessionId,
+    services: dependencies.AppServices,
+    from_s: TraceFrom = 0.0,
+    to_s: TraceTo = LONGEST_S,
+    points: TracePoints = 1000,
+) -> SessionTrace:
+    """Return a part of the trace of a session that is over: least and most of each signal, beam on and holds."""
+    return services.traces.part(session_id, from_s, to_s, points)
+
+
+@router.get("/{session_id}/moment", responses=REPORT)
+def read_moment(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, at_s: TraceFrom = 0.0
+) -> SessionMoment:
+    """Return the sample of a session that is over which is nearest to a time, with the breathing surface."""
+    return services.traces.moment(session_id, at_s)
+
+
 SIGN_REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError, OperatorMismatchError)
 
 

@@ -13,7 +13,7 @@ from service.storage.audit.check import redacted_settings
 def described(tmp_path, monkeypatch):
     monkeypatch.setenv("TIDEGATE_ROOM", "Linac-2")
     settings = Settings(data_dir=tmp_path, port=8123, room="Linac-2")
-    machine = MachineDescription(settings=settings, readiness=lambda: READY).describe()
+    machine = MachineDescription(settings=settings, readiness=lambda: READY, backup_at=lambda: None).describe()
     return settings, {one.name: one for one in machine.settings}, machine
 
 

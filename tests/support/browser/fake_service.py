@@ -32,7 +32,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import service
 from engine.core.sentences import listed, say, word
 from service.core.permissions import Role, permissions_of
+from service.core.schemas.reports import SessionMoment
 from service.core.schemas.sentences import sentence_parts
+from service.sessions.report.trace import TraceSamples, trace_part
 from service.web.app import LANGUAGE_LIST, language_names
 from tests.support.waiting import eventually
 
@@ -490,6 +492,8 @@ class FakeService:
         self.room = "Linac-2"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.report: dict[str, Any] = copy.deepcopy(REPORT)
+        self.seconds = 120.0
+        """Length of a session that is over."""
         self.models: list[dict[str, Any]] = []
         self.of_model: dict[str, dict[str, Any]] = {}  # answers below /models/, by path
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
@@ -522,6 +526,13 @@ class FakeService:
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._has_turned.set)
 
+    def _trace(self, request: Request) -> JSONResponse:
+        asked = request.query_params
+        part_s = (float(asked.get("from_s", 0.0)), float(asked.get("to_s", 1e5)))
+        samples = trace_samples(self.seconds)
+        found = trace_part(request.path_params["id"], samples, TRACE_AT, part_s, int(asked.get("points", 1000)))
+        return JSONResponse(found.model_dump(mode="json"))
+
     def posts(self) -> list[tuple[str, Any]]:
         """Return the calls that change something, as (path under the API, body)."""
         return [(path.removeprefix("/api/v1"), body) for method, path, body in self.calls if method == "POST"]
@@ -532,7 +543,8 @@ class FakeService:
             WebSocketRoute("/api/v1/live", self._live),
             Route("/api/v1/sessions/{id}/picture", self._picture),
             Route("/api/v1/sessions/{id}/report", lambda _request: JSONResponse(self.report)),
-            Route("/api/v1/sessions/{id}/samples", lambda _request: Response(samples_csv(), media_type="text/csv")),
+            Route("/api/v1/sessions/{id}/trace", self._trace),
+            Route("/api/v1/sessions/{id}/moment", _moment),
             Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
             Route("/hang", self._hang),
             Route("/{path:path}", self._file),
@@ -618,7 +630,7 @@ class FakeService:
         path = request.url.path.removeprefix("/api/v1")
         if path in ABOUT_LOG_INS:
             return self._about_log_ins(path, body)
-        if self.person is None:
+        if self.person is None and path != "/openapi.json":
             return UNKNOWN
         if request.method == "GET" and path.endswith("/arming"):
             return JSONResponse(self.arming, headers={"ETag": self.arming_etag})
@@ -715,18 +727,46 @@ class FakeService:
         return JSONResponse(found[0]) if found else JSONResponse({"detail": "no such session"}, 404)
 
 
-def samples_csv(seconds: float = 120.0) -> str:
-    """Export a session of so many seconds: breaths of 4 s, the beam on below 3 mm, and a marker lost at 60 s."""
-    lines = ["frame_index,state,whole_mm,thorax_mm,abdomen_mm,gate,hold_reason,decided_ns"]
-    for index in range(round(30.0 * seconds)):
-        at_s = index / 30.0
-        mm = 5.0 - 5.0 * math.cos(math.pi * at_s / 2.0)
-        is_lost = 60.0 <= at_s < 61.0
-        gate, reason = ("beam_on", "") if mm < 3.0 and not is_lost else ("hold", "outside_window")
-        values = ",,," if is_lost else f"{mm:.3f},{mm / 2:.3f},{1.4 * mm:.3f},"
-        reason = "marker_lost" if is_lost else reason
-        lines.append(f"{index},measuring,{values}{gate},{reason},{10**15 + round(at_s * 1e9)}")
-    return "\n".join(lines) + "\n"
+def trace_samples(seconds: float = 120.0) -> TraceSamples:
+    """Return a session of so many seconds: breaths of 4 s, the beam on below 3 mm, and a marker lost at 60 s."""
+    times_s = np.arange(round(30.0 * seconds)) / 30.0
+    is_lost = (times_s >= 60.0) & (times_s < 61.0)
+    whole_mm = np.where(is_lost, np.nan, 5.0 - 5.0 * np.cos(np.pi * times_s / 2.0))
+    gates = np.where(whole_mm < 3.0, "beam_on", "hold").astype(object)
+    reasons = np.where(is_lost, "marker_lost", np.where(gates == "beam_on", "", "outside_window")).astype(object)
+    motion_mm = {"whole": whole_mm, "thorax": whole_mm / 2.0, "abdomen": 1.4 * whole_mm}
+    return TraceSamples(times_s=times_s, first_ns=0, gates=gates, reasons=reasons, motion_mm=motion_mm)
+
+
+TRACE_AT = datetime(2026, 11, 21, 9, 12, tzinfo=UTC)
+
+
+def _moment(request: Request) -> JSONResponse:
+    """Answer a curved surface whose lower cells have moved most."""
+    at_s = float(request.query_params["at_s"])
+    mm = 5.0 - 5.0 * math.cos(math.pi * at_s / 2.0)
+    cells = [[round(mm * row / 13.0, 3) for _ in range(8)] for row in range(14)]
+    nodes = [
+        [
+            [25.0 * (column - 4), 25.0 * (row - 7), 850.0 + 2.0 * (column - 4) ** 2 - mm * row / 14.0]
+            for column in range(9)
+        ]
+        for row in range(15)
+    ]
+    found = SessionMoment(
+        session_id=request.path_params["id"],
+        at_s=at_s,
+        frame_index=round(30.0 * at_s),
+        gate="beam_on" if mm < 3.0 else "hold",
+        hold_reason=None if mm < 3.0 else "outside_window",
+        lost_reason=None,
+        whole_mm=round(mm, 3),
+        thorax_mm=round(mm / 2.0, 3),
+        abdomen_mm=round(1.4 * mm, 3),
+        cells_mm=cells,
+        surface_mm=nodes,
+    )
+    return JSONResponse(found.model_dump(mode="json"))
 
 
 def _searched(page: Response, search: str) -> Response:

@@ -9,7 +9,6 @@ from typing import Any
 
 from playwright.sync_api import Page, expect
 
-from service.core.permissions import Role
 from tests.support.browser.fake_coach import FakeConsole
 from tests.support.browser.fake_service import (
     BREATH,
@@ -19,7 +18,6 @@ from tests.support.browser.fake_service import (
     SESSION,
     FakeService,
     alarm,
-    api_key,
     breath_hold,
     over,
     person,
@@ -28,7 +26,6 @@ from tests.support.browser.fake_service import (
     qa_status,
     sample,
     summary,
-    user,
     window,
 )
 from tests.support.browser.models import give_model
@@ -188,12 +185,6 @@ def _must_change(fake: FakeService) -> None:
     fake.person = person(must_change_password=True)
 
 
-def _admin(fake: FakeService) -> None:
-    fake.person = person("Grace", Role.ADMIN, is_break_glass=True)
-    fake.people = [user("Grace", Role.ADMIN), user("A. Therapist", Role.THERAPIST, is_disabled=True)]
-    fake.keys = [api_key("planning", "sessions.read", "sessions.run")]
-
-
 def _events(fake: FakeService) -> None:
     """The gate was armed, and then followed four breaths; the newest first."""
     armed = {"action": "session.arm", "actor": "A. Therapist", "outcome": "done", "detail": {}}
@@ -212,12 +203,6 @@ def _events(fake: FakeService) -> None:
 def _open_arming(page: Page) -> None:
     page.locator("#do-arm:enabled:not([aria-disabled])").click()
     expect(page.locator("#arming-items div").first).to_be_visible()
-
-
-def _open_secret(page: Page) -> None:
-    page.fill("#new-key [name=name]", "Record and verify")
-    page.check("#new-key-scopes input >> nth=0")
-    page.locator("#new-key [type=submit]").click()
 
 
 def _open_more(page: Page) -> None:
@@ -293,8 +278,6 @@ STATES: dict[str, PageState] = {
     "log-in-refused": PageState("out", prepare=_logged_out, act=_log_in_wrongly, shown="#log-in"),
     "locked-out": PageState("out", prepare=_locked_out, act=_log_in_wrongly, shown="#log-in"),
     "change-password": PageState("out", prepare=_must_change, shown="#change-password"),
-    "people": PageState("idle", prepare=_admin, shown="#people"),
-    "shown-once": PageState("idle", prepare=_admin, act=_open_secret, shown="#shown-once"),
     "patient-screen": PageState(
         "disarmed", DISARMED, act=lambda page: page.locator("#do-coach").click(), shown="#coach"
     ),

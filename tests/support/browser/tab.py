@@ -8,8 +8,12 @@ from playwright.sync_api import Page, expect
 from tests.support.browser.fake_service import FakeService
 from tests.support.waiting import eventually
 
-# What Chromium reports of what tests provoke: refused calls and lost sockets, its reading of canvases, a hung page.
-PROVOKED = ("Failed to load resource", "WebSocket connection", "willReadFrequently", "Synchronous XMLHttpRequest")
+# What Chromium reports of what tests provoke: refused calls and lost sockets, its reading of canvases, a hung page, and
+# WebGL without a graphics processor.
+PROVOKED = (
+    *("Failed to load resource", "WebSocket connection", "willReadFrequently", "Synchronous XMLHttpRequest"),
+    "GL Driver Message",
+)
 
 # Notes what the page has received of its service, and what it still waits for.
 NOTE_TRAFFIC = """(() => {

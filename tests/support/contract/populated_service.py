@@ -146,7 +146,7 @@ class World:
             return {"login_id": self._login_of(headers)}
         if operation in {"read_qa_run", "read_qa_report"}:
             return {"run_id": self.known["finished_run_id"]}
-        if "report" in operation:
+        if "report" in operation or operation in {"read_trace", "read_moment"}:
             return {"session_id": self.known["ended_session_id"]}
         return self.known
 

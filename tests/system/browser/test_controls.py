@@ -43,7 +43,6 @@ def test_a_viewer_is_offered_nothing_and_reported_why(fake: FakeService, tab: Ta
         expect(button).to_be_disabled()
         expect(button).to_have_attribute("title", "Not now: your log-in (viewer) does not allow it")
     expect(page.locator("#events-empty")).to_have_text("Not shown: your log-in does not allow it.")
-    expect(page.locator("#do-people")).to_be_hidden()
     page.keyboard.press("F8")
     expect(page.locator("#outcome")).to_contain_text("The page could not hold: use the room's interlock.")
     page.click("#do-setup")

@@ -94,18 +94,6 @@ def test_escape_closes_the_topmost_first_and_the_summary_last(fake: FakeService,
     assert sent(fake, "disarm") == []
 
 
-def test_a_secret_that_is_shown_once_is_not_closed_by_escape(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", DISARMED
-    page = tab.open("disarmed")
-    page.evaluate("""() => {
-      document.querySelector('#people').hidden = false;
-      document.querySelector('#shown-once').hidden = false;
-    }""")
-    page.keyboard.press("Escape")
-    expect(page.locator("#people")).to_be_visible()
-    assert sent(fake, "disarm") == []
-
-
 def test_a_question_mark_lists_the_keys_but_not_in_a_field(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")

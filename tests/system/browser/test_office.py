@@ -11,7 +11,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from service.core.permissions import Role
 from tests.support.browser.accessibility import axe_findings
-from tests.support.browser.fake_service import DASHBOARD, PLAN, FakeService, over, person
+from tests.support.browser.fake_service import DASHBOARD, PLAN, RECORDING, FakeService, api_key, over, person, user
 from tests.support.browser.tab import Tab
 from tests.support.planning.dicom_plans import motion, photon_plan, setup, written
 from tests.support.repository import ROOT
@@ -21,7 +21,7 @@ from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.browser
 
-ROOMS = ("sessions", "plans", "models", "qa", "audit", "machine", "api")
+ROOMS = ("sessions", "plans", "models", "qa", "audit", "people", "machine", "api")
 CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text())
 GERMAN = json.loads((DASHBOARD / "lang" / "de.json").read_text())
 PHYSICIST = person("P. Hysicist", Role.PHYSICIST)
@@ -50,6 +50,7 @@ MACHINE = {
     "method": 12,
     "python": "3.11.7",
     "system": "Linux",
+    "backup_at": "2026-11-23T22:00:00Z",
     "certificate_ends_at": None,
     "started_at": "2026-11-24T01:00:00Z",
     "now": "2026-11-24T07:30:00Z",
@@ -83,6 +84,15 @@ def opened(tab: Tab, room: str) -> Page:
     return tab.page
 
 
+def permitted(fake: FakeService, tab: Tab, room: str) -> Page:
+    """A room, opened by a person who may see it."""
+    if room == "people":
+        fake.person = person("Grace", Role.ADMIN)
+        fake.people = [user("Grace", Role.ADMIN), user("A. Therapist", Role.THERAPIST, is_disabled=True)]
+        fake.keys = [api_key("planning", "sessions.read", "sessions.run")]
+    return opened(tab, room)
+
+
 def test_without_a_log_in_it_shows_nothing_and_the_way_to_one(fake: FakeService, office: Tab):
     fake.person = None
     office.page.goto(office.url)
@@ -108,12 +118,12 @@ def test_each_role_sees_its_rooms(fake: FakeService, office: Tab):
     opened(office, "plans")
     expect(page.locator("input[type=file]")).to_have_count(0)
     opened(office, "qa")
-    expect(page.get_by_role("button", name="Start daily QA")).to_have_count(0)
+    expect(page.get_by_role("button", name="Start QA")).to_have_count(0)
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_a_room_is_accessible_in_both_themes_and_fits(office: Tab, room: str):
-    page = opened(office, room)
+def test_a_room_is_accessible_in_both_themes_and_fits(fake: FakeService, office: Tab, room: str):
+    page = permitted(fake, office, room)
     for theme in ("dark", "bright"):
         page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
         assert axe_findings(page) == [], theme
@@ -123,9 +133,9 @@ def test_a_room_is_accessible_in_both_themes_and_fits(office: Tab, room: str):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_a_room_in_german_has_no_word_of_english(office: Tab, room: str):
+def test_a_room_in_german_has_no_word_of_english(fake: FakeService, office: Tab, room: str):
     office.page.add_init_script("localStorage.setItem('tidegate.language', 'de')")
-    page = opened(office, room)
+    page = permitted(fake, office, room)
     expect(page.locator("h1")).to_have_text(GERMAN[f"office.{room}"])
     assert "[en]" not in page.inner_text("body")
 
@@ -165,23 +175,6 @@ def test_settings_of_the_site_come_first_and_secrets_stay_masked(office: Tab):
     expect(page.locator("details summary")).to_have_text("1 settings at their default")
 
 
-def test_an_administrator_sees_who_is_logged_in_and_ends_a_log_in(fake: FakeService, office: Tab):
-    fake.person = person("Grace", Role.ADMIN)
-    moment = "2026-11-24T07:00:00Z"
-    times = {"created_at": moment, "seen_at": moment, "expires_at": moment}
-    other = {"id": "aa" * 16, "address": "10.0.0.7", "way": "password", "is_this": False} | times
-    fake.logins = [other, other | {"id": "bb" * 16, "is_this": True}]
-    page = opened(office, "people")
-    rows = page.locator("tbody tr")
-    expect(rows).to_have_count(2)
-    expect(rows.last).to_contain_text("this one")
-    rows.first.get_by_role("button").click()
-    fake.logins.pop(0)
-    rows.first.get_by_role("button", name="Confirm end").click()
-    expect(rows).to_have_count(1)
-    assert [path for path, _ in fake.posts()] == [f"/users/Grace/logins/{'aa' * 16}/end"]
-
-
 def test_every_call_of_the_contract_is_there_and_opens_with_its_fields(office: Tab):
     page = opened(office, "api")
     calls = [f"{method.upper()} {path}" for path, one in CONTRACT["paths"].items() for method in one]
@@ -193,6 +186,51 @@ def test_every_call_of_the_contract_is_there_and_opens_with_its_fields(office: T
     page.get_by_text("POST /api/v1/sessions", exact=True).click()
     expect(opened_call.first).to_contain_text("patient_reference")
     expect(opened_call.first.locator("h3")).to_contain_text(["Body, application/json", "Answer 201", "Refusals"])
+
+
+def test_the_contract_is_read_without_a_log_in(fake: FakeService, office: Tab):
+    fake.person = None
+    office.page.goto(f"{office.url}#api")
+    expect(office.page.locator("#rooms a")).to_have_text("API")
+    expect(office.page.get_by_text("POST /api/v1/sessions", exact=True)).to_be_visible()
+    expect(office.page.get_by_text("Log in at the console first.")).to_be_visible()
+    office.page.goto(f"{office.url}#machine")
+    expect(office.page.locator("#room")).to_have_text("Log in at the console first.")
+    assert {path for _, path, _ in fake.calls} == {"/api/v1/me", "/api/v1/openapi.json"}
+
+
+def test_a_model_is_compared_with_the_patients_model_before_it(fake: FakeService, office: Tab):
+    made = {"patient_reference": "P-0117", "is_active": False, "created_at": "2026-11-24T07:00:00Z", "quality": None}
+    made |= {"training_frames": 400, "components": 3}
+    later, earlier = made | {"id": "ba" * 16, "number": 2}, made | {"id": "ab" * 16, "number": 1}
+    fake.models = [later, earlier]
+    alike = {"explained_share": 0.987, "first_angle_deg": 4.2, "shift_mm": 1.0, "shape_mm": 2.46}
+    fake.office[f"/models/{later['id']}/similarity"] = alike
+    page = opened(office, "models")
+    rows = page.locator("tbody tr")
+    expect(rows.nth(1)).to_contain_text("first one")
+    rows.nth(0).get_by_role("button").nth(1).click()
+    expect(rows.nth(0)).to_contain_text("98.7 % of its motion · 4.2° · shape 2.5 mm")
+
+
+def test_monthly_qa_asks_for_phantom_and_trace_and_daily_does_not(fake: FakeService, office: Tab):
+    fake.recordings = [RECORDING]
+    page = opened(office, "qa")
+    trace = page.get_by_label("Its trace, a file in a recording folder")
+    expect(trace).to_be_hidden()
+    page.get_by_label("Kind").select_option("monthly")
+    trace.fill("qa/sine.csv")
+    page.get_by_label("Phantom seen by").select_option(RECORDING["path"])
+    page.get_by_label("Window from, mm of the trace").fill("-20")
+    page.get_by_label("Window to, mm").fill("2.5")
+    page.get_by_role("button", name="Start QA").click()
+    eventually(lambda: fake.posts() != [], detail=lambda: fake.calls)
+    ((path, body),) = fake.posts()
+    assert (path, body["kind"]) == ("/qa/runs", "monthly")
+    source = {"kind": "recording", "path": RECORDING["path"]}
+    window = {"window_lower_mm": -20, "window_upper_mm": 2.5}
+    assert body["phantom"] == {"source": source, "trace": "qa/sine.csv", **window}
+    assert body["plate"] == {"source": {"kind": "device"}}
 
 
 def test_an_answer_that_does_not_come_is_said(fake: FakeService, office: Tab):

@@ -10,6 +10,7 @@ from tests.support.browser.accessibility import tint
 from tests.support.browser.fake_service import SESSION, FakeService, over, person, sample
 from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
+from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.browser
 
@@ -177,3 +178,67 @@ def test_who_may_not_sign_has_no_form_and_a_refusal_is_said(fake: FakeService, t
     page.reload()
     expect(page.locator("#review-signatures")).to_contain_text("Not signed yet.")
     expect(page.locator("#review-sign")).to_be_hidden()
+
+
+def test_the_moment_at_the_pointer_has_its_values_its_surface_and_its_cells(fake: FakeService, tab: Tab):
+    page = past(fake, tab)
+    box = page.locator("#review-frame .u-over").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 40)
+    # A fake session of two minutes: at 90 s a breath is deepest.
+    expect(page.locator("#review-moment-text")).to_have_text(
+        re.compile(r" · (89|90)\.\d\d s · outside window · Whole \+(9\.[5-9]|10\.0) mm")
+    )
+    eventually(lambda: tint(page, "#review-surface canvas").spread > 20, detail=lambda: "the surface is not drawn")
+    expect(page.locator("#review-surface-note")).to_contain_text("To scale")
+    cells = page.locator("#review-grid").bounding_box()
+    assert cells is not None
+    page.locator("#review-grid").hover(position={"x": cells["width"] / 2, "y": cells["height"] - 6})
+    expect(page.locator("#review-readout")).to_contain_text("row 13, column")
+    before = page.locator("#review-surface").screenshot()
+    page.locator("#review-surface").press("ArrowRight")
+    eventually(lambda: page.locator("#review-surface").screenshot() != before, detail=lambda: "it does not turn")
+
+
+def test_a_browser_without_webgl_shows_the_cells(fake: FakeService, tab: Tab):
+    tab.page.add_init_script(
+        "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, "
+        "{apply: (call, canvas, given) => given[0].startsWith('webgl') ? null : Reflect.apply(call, canvas, given)})"
+    )
+    page = past(fake, tab)
+    expect(page.locator("#review-surface-note")).to_contain_text("no WebGL")
+    page.locator("#review-frame .u-over").hover(position={"x": 30, "y": 40})
+    eventually(lambda: tint(page, "#review-grid").spread > 20, detail=lambda: "the cells are not drawn")
+
+
+def test_a_part_of_the_trace_is_read_at_its_scale_and_an_act_leads_to_its_part(fake: FakeService, tab: Tab):
+    asked: list[str] = []
+    tab.page.on("request", lambda request: asked.append(request.url) if "/trace?" in request.url else None)
+    fake.seconds = 3600.0  # an hour
+    page = past(fake, tab)
+    assert len(asked) == 1
+    page.click("#review details:has(#review-acts) summary")
+    page.locator("#review-acts button").first.click()
+    eventually(lambda: "from=30.00&to=60.00" in address(page), detail=lambda: address(page))
+    expect(page.locator("#review-moment-text")).to_contain_text("40.00 s")
+    eventually(lambda: len(asked) > 1, detail=lambda: asked)
+    assert "from_s=15&to_s=75&" in asked[1], "the part with half of it on either side"
+    for _ in range(2):
+        page.locator("#review-frame").press("ArrowRight")
+    page.wait_for_timeout(200)
+    assert len(asked) == 2, "what was read beside the part is enough"
+
+
+def test_rows_of_the_work_list_stay_while_nothing_changes(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST, OLDER]
+    page = tab.open("idle")
+    row = page.locator("#session-list .open", has_text="P-0002").element_handle()
+    assert row is not None
+    before = looks(fake) + 1
+    page.fill("#work-search", "P-000")
+    eventually(lambda: sum(path.endswith("/sessions") for _, path, _ in fake.calls) > before, detail=lambda: fake.calls)
+    page.wait_for_timeout(100)
+    assert row.evaluate("one => one.isConnected"), "a click that began on it is not lost"
+    fake.sessions.pop()
+    page.fill("#work-search", "P-00")
+    expect(page.locator("#session-list .open")).to_have_count(1)

@@ -236,3 +236,37 @@ def test_cells_are_those_of_the_samples_with_the_beam_on(client, played, samples
         at = 0.95 * (len(away) - 1)
         wanted = away[int(at)] + (at - int(at)) * (away[min(int(at) + 1, len(away) - 1)] - away[int(at)])
         assert found == pytest.approx(wanted, abs=0.0051)
+
+
+def test_a_part_of_the_trace_and_a_moment_are_those_of_the_samples(client, played, samples):
+    times = [(row["decided_ns"] - samples[0]["decided_ns"]) / 1e9 for row in samples]
+    found = client.get(f"/api/v1/sessions/{played.session_id}/trace", params={"points": 50}).json()
+    assert found["end_s"] == pytest.approx(times[-1], abs=1e-3)
+    edges = [*found["times_s"], float("inf")]
+    for one in found["signals"]:
+        for i, (low, high) in enumerate(zip(one["low_mm"], one["high_mm"], strict=True)):
+            inside = [row for t, row in zip(times, samples, strict=True) if edges[i] - 5e-4 <= t < edges[i + 1] - 5e-4]
+            known = [row[f"{one['signal']}_mm"] for row in inside if row[f"{one['signal']}_mm"] is not None]
+            assert (low, high) == ((round(min(known), 3), round(max(known), 3)) if known else (None, None))
+    on_s = sum(to - begin for begin, to in found["beams_s"])
+    steps = seconds_of(samples)
+    assert on_s == pytest.approx(
+        sum(step for row, step in zip(samples, steps, strict=True) if row["gate"] == "beam_on"), abs=0.01 * len(steps)
+    )
+    index = next(i for i, row in enumerate(samples) if row["gate"] == "beam_on")
+    moment = client.get(f"/api/v1/sessions/{played.session_id}/moment", params={"at_s": times[index]}).json()
+    assert moment["frame_index"] == samples[index]["frame_index"]
+    cells = [one for line in moment["cells_mm"] for one in line]
+    wanted = [None if math.isnan(one) else round(one, 3) for one in samples[index]["regions_mm"]]
+    assert cells == pytest.approx(wanted, abs=1e-3, nan_ok=True)
+    # The surface lies at the camera's distance, and a deeper breath is nearer to the camera.
+    deepest = max(range(len(samples)), key=lambda i: samples[i]["whole_mm"] or -99.0)
+    inhaled = client.get(f"/api/v1/sessions/{played.session_id}/moment", params={"at_s": times[deepest]}).json()
+
+    def depth_mm(one):
+        return np.mean([node[2] for line in one["surface_mm"] for node in line if node is not None])
+
+    shift = samples[deepest]["whole_mm"] - samples[index]["whole_mm"]
+    assert shift > 2.0
+    assert depth_mm(moment) - depth_mm(inhaled) == pytest.approx(shift, abs=0.6)
+    assert 600.0 < depth_mm(moment) < 1200.0

@@ -90,18 +90,16 @@ export const listRecordings = () => call("GET", "/recordings?limit=100");
 const model = (id) => `/models/${encodeURIComponent(id)}`;
 export const readModel = (id) => call("GET", model(id));
 export const readSpectrum = (id) => call("GET", `${model(id)}/spectrum`);
+export const readSimilarity = (id, other) => call("GET", `${model(id)}/similarity?${new URLSearchParams({ other })}`);
 export const readQualityMaps = (id) => call("GET", `${model(id)}/quality-maps`);
 export const listModels = (id, limit) => call("GET", `${session(id)}/models?limit=${limit}`);
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");
 const SAMPLES_TIMEOUT_MS = 60_000;
 export const readReport = (id) => call("GET", `${session(id)}/report`);
-/** The samples of a session as CSV, the whole of it. */
-export async function readSamples(id) {
-  const response = await send("GET", `${session(id)}/samples?format=csv`, undefined, { Accept: "text/csv" }, SAMPLES_TIMEOUT_MS);
-  if (!response.ok) throw new ApiError(response.status, (await response.json().catch(() => null)) ?? {});
-  return response.text();
-}
+/** A part of a session's trace, in at most `points` ranges. @param {{from_s?: number, to_s?: number, points: number}} part */
+export const readTrace = (id, part) => call("GET", `${session(id)}/trace?${new URLSearchParams(part)}`);
+export const readMoment = (id, atS) => call("GET", `${session(id)}/moment?${new URLSearchParams({ at_s: atS.toFixed(3) })}`);
 /** `samples` is the hash of those that the person looked at. */
 export const signReport = (id, operator, isSigned, note, samples) =>
   call("POST", `${session(id)}/signature`, { operator, is_signed: isSigned, note, samples_sha256: samples });

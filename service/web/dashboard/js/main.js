@@ -21,7 +21,6 @@ import { needsReference, renderLearning } from "./panels/training.js";
 import { renderLamps } from "./panels/lamps.js";
 import { LiveStream } from "./stream/live_stream.js";
 import { LogIn } from "./people/login.js";
-import { PeoplePanel } from "./people/people.js";
 import { ModelQuality } from "./panels/model_quality.js";
 import { PicturePanel } from "./panels/picture.js";
 import { rolesText } from "./people/permissions.js";
@@ -29,7 +28,7 @@ import { Presence } from "./people/presence.js";
 import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
 import { KeyList } from "./panels/key_list.js";
-import { Report, isOver } from "./panels/report.js";
+import { Summary, isOver } from "./panels/summary.js";
 import { addressed } from "./panels/review.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
@@ -83,9 +82,8 @@ const presence = new Presence();
 const tables = new DataTables(trace);
 const quality = new ModelQuality();
 const setup = new Setup(access, select, openPast);
-const report = new Report(access, select, uncoverReport);
+const summary = new Summary(access, select, uncoverReport);
 const keyList = new KeyList();
-const people = new PeoplePanel(access);
 const logIn = new LogIn(access);
 const qa = new QaPanel();
 const coach = new CoachPanel(access);
@@ -112,7 +110,6 @@ let labelled = { key: null, nextMs: 0 };
 
 /** Update the page after a log-in, a log-out or a change of permissions. */
 function followAccess() {
-  const isNew = access.state === "in" && document.body.dataset.access !== "in";
   document.body.dataset.access = access.state;
   logIn.show();
   byId("person").hidden = access.person === null;
@@ -120,12 +117,8 @@ function followAccess() {
   setText(byId("person-roles"), rolesText(access.person?.roles ?? []));
   byId("do-account").title = access.person === null ? "" : tr("main.change_your_password", { name: access.person.name, value: rolesText(access.person.roles) });
   byId("badge-glass").hidden = access.person?.is_break_glass !== true;
-  byId("do-people").hidden = !access.may("people");
-  if (!access.may("people")) people.show(false);
   if (access.may("watch")) watch();
   else leave();
-  // A person who cannot run sessions manages people here.
-  if (isNew && access.may("people") && !access.may("create")) people.show(true);
   render();
 }
 
@@ -148,7 +141,7 @@ function leave() {
   windowEditor.close();
   picture.follow(null, false);
   setup.forget();
-  report.forget();
+  summary.forget();
   keyList.close();
   tables.close();
   quality.follow(null);
@@ -164,14 +157,12 @@ function uncoverReport({ id }, isBroken) {
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
 function closeTopmost() {
   if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close() || quality.close()) return true;
-  // A secret that is shown once is closed by its own button only.
-  const isSecretShown = !byId("shown-once").hidden;
-  for (const [panel, hide] of [["people", () => !isSecretShown && people.show(false)], ["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
+  for (const [panel, hide] of [["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
     if (byId(panel) === null || byId(panel).hidden) continue;
     hide();
     return true;
   }
-  return report.close();
+  return summary.close();
 }
 
 /** Remove what was measured in another session: nothing of one patient is shown under another's name. */
@@ -187,7 +178,7 @@ function openPast(past) {
   const isIdle = stream.message?.type === "idle" && present(stream, performance.now()).kind === "idle";
   if (!isIdle) return tr("setup.past_not_now");
   setup.show(false);
-  report.open(past, true);
+  summary.open(past, true);
   return "";
 }
 
@@ -224,7 +215,7 @@ function receive(message, nowMs) {
 
 function select(chosen) {
   if (chosen.id !== shownSessionId) forgetSession();
-  report.forget();
+  summary.forget();
   session = chosen;
   shownSessionId = chosen.id;
   controls.say("", tr("main.session_of_is_ready_start_it_when_the_patien", { patient_reference: chosen.patient_reference }));
@@ -263,16 +254,16 @@ async function lookForSession() {
   if (!access.may("watch")) return;
   if (isFirstLook && linked !== null && !items.some((one) => one.status === "running" || one.status === "created")) {
     setup.show(false);
-    report.open(linked, true, linked.range);
+    summary.open(linked, true, linked.range);
     return;
   }
   const [newest] = items;
   if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
   else if (newest !== undefined && newest.id === shownSessionId) session = newest;
   const last = items.find((one) => one.started_at || one.status === "created");
-  if (last !== undefined && isOver(last)) report.open(last);
+  if (last !== undefined && isOver(last)) summary.open(last);
   if (last?.status === "interrupted" || last?.status === "failed") return;
-  if (isFirstLook && session === null && access.may("create") && people.isHidden) setup.show(true);
+  if (isFirstLook && session === null && access.may("create")) setup.show(true);
 }
 
 function follow(view, sample, nowMs) {
@@ -288,7 +279,7 @@ function follow(view, sample, nowMs) {
     describe(shownSessionId);
   }
   // A session that runs replaces the one that is over.
-  if (sample?.session_status === "running" && report.id !== null) report.forget();
+  if (sample?.session_status === "running" && summary.id !== null) summary.forget();
   if (view.kind !== "idle") nextLookMs = 0;
   else if (nowMs >= nextLookMs) {
     nextLookMs = nowMs + LOOK_MS;

@@ -285,13 +285,14 @@ def test_the_body_of_an_unknown_caller_is_not_read(anonymous, monkeypatch):
     assert read == []
 
 
-def test_the_page_is_public_and_nothing_else_beside_it(door):
+def test_page_liveness_and_contract_are_public_and_nothing_else_beside_them(door):
     assert door.get("/").status_code == 200
     assert door.get("/index.html").status_code == 200
     assert door.get("/none.html").status_code == 401
     assert door.get("/healthz").json() == {"status": "ok"}
     assert door.get("/readyz").status_code == 401
-    assert door.get("/api/v1/openapi.json").status_code == 401
+    assert door.get("/api/v1/openapi.json").json()["openapi"].startswith("3.1")
+    assert door.get("/api/v1/machine").status_code == 401
 
 
 def test_a_refusal_names_what_is_missing_and_is_audited_with_who_and_what(anonymous):

@@ -91,3 +91,10 @@ def test_breathing_is_in_the_unit_of_the_gated_signal(signal, unit):
     stated = dict(_breathing(SimpleNamespace(session=SimpleNamespace(window=window), figures=found)))
     assert stated["amplitude, median (5 to 95 %)"] == f"0.50 (0.50 to 0.50) {unit}"
     assert stated["end of exhale, first to last 30 s"] == f"+0.10 to +0.10 {unit}"
+
+
+def test_named_regions_have_figures_of_their_own_under_their_names():
+    named = [[1.0, 5.0], [3.0, float("nan")], [99.0, 99.0], None]
+    batch = rows(["beam_on", "beam_on", "hold", "beam_on"], named_mm=named)
+    found = report_figures(*read_columns([batch]), ("belly", "scar"))
+    assert [(one.signal, one.mean_mm, one.frames) for one in found.motion] == [("belly", 2.0, 2), ("scar", 5.0, 1)]

@@ -141,6 +141,45 @@ def test_maps_of_a_damaged_or_missing_file_are_refused(client, kept_model, setti
     assert client.get(f"/api/v1/models/{'0' * 32}/quality-maps").status_code == 404
 
 
+# -- how alike two models are ---------------------------------------------------------------------------------------
+
+
+def test_a_model_explains_all_of_itself_and_what_its_components_share_with_another(client, session_id, running):
+    url = f"/api/v1/sessions/{session_id}/models"
+    # Four directions; the first component of the other model lies halfway between the first and the fourth.
+    directions = np.linalg.qr(np.random.default_rng(3).normal(size=(70_000, 4)))[0].T.reshape(4, 350, 200)
+    first = replace(make_model(1), components=directions[:3].astype(np.float32))
+    turned = directions[:3].copy()
+    turned[0] = (directions[0] + directions[3]) / np.sqrt(2.0)
+    other = replace(first, components=turned.astype(np.float32), mean_mm=first.mean_mm + np.float32(5.0))
+    for number, model in enumerate((first, other), start=1):
+        running.model = model
+        eventually(lambda number=number: len(client.get(url).json()["items"]) == number)
+    newer, older = (one["id"] for one in client.get(url).json()["items"])
+    same = client.get(f"/api/v1/models/{older}/similarity?other={older}").json()
+    assert (same["explained_share"], same["shift_mm"], same["shape_mm"]) == (1.0, 0.0, 0.0)
+    assert same["first_angle_deg"] == pytest.approx(0.0, abs=0.1)
+    found = client.get(f"/api/v1/models/{older}/similarity?other={newer}").json()
+    variance = first.eigenvalues_mm2[: len(first.components)]
+    share = (variance.sum() - 0.5 * variance[0]) / variance.sum()
+    assert found["explained_share"] == pytest.approx(share, abs=1e-3)
+    assert found["first_angle_deg"] == pytest.approx(45.0, abs=0.1)
+    assert (found["shift_mm"], found["shape_mm"]) == (-5.0, 0.0)
+
+
+def test_models_of_two_patients_are_not_compared(client, calibration_id, kept_model, engine):
+    other = client.post(
+        "/api/v1/sessions", json={**make_session_body(calibration_id), "patient_reference": "P-0002"}
+    ).json()["id"]
+    act(client, other, "start")
+    engine.running.model = make_model(2)
+    url = f"/api/v1/sessions/{other}/models"
+    eventually(lambda: len(client.get(url).json()["items"]) == 1)
+    (model,) = client.get(url).json()["items"]
+    answer = client.get(f"/api/v1/models/{model['id']}/similarity?other={kept_model['id']}")
+    assert (answer.status_code, answer.json()["field"]) == (422, "other")
+
+
 # -- what made a model ----------------------------------------------------------------------------------------------
 
 

@@ -30,6 +30,7 @@ function facts(machine) {
     ["runs_since", `${localTime(machine.started_at)} (${tr("office.hours", { hours: Math.floor((Date.parse(machine.now) - Date.parse(machine.started_at)) / HOUR_MS) })})`],
     ["clock", localTime(machine.now)],
     ["disk", tr("office.free", { free: gigabytes(machine.disk_free_mb), total: gigabytes(machine.disk_total_mb) })],
+    ["backup", machine.backup_at === null ? tr("office.no_backup") : `${localTime(machine.backup_at)} (${tr("office.hours", { hours: Math.floor((Date.parse(machine.now) - Date.parse(machine.backup_at)) / HOUR_MS) })})`],
     ["certificate", machine.certificate_ends_at === null ? tr("office.no_certificate") : tr("office.until", { at: localTime(machine.certificate_ends_at) })],
   ];
   for (const [name, text] of rows) list.append(part("dt", tr(`office.${name}`)), part("dd", text));

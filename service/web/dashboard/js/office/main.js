@@ -32,6 +32,7 @@ const ROOMS = {
 const ASK_MS = 20_000;
 
 let person = null;
+let isLocked = false;
 /** Ends what the room that is shown still does, such as asking for the progress of a run. */
 let leave = () => {};
 
@@ -63,33 +64,44 @@ function show() {
   ROOMS[name][1]({ root, person, ended: abort.signal });
 }
 
-/** Read who is logged in; without a log-in nothing of the room stays on the page. */
+/** Read who is logged in; without a log-in nothing of the room stays on the page, and the contract alone can be read. */
 async function look() {
   try {
     const found = await readMe();
     if (found.must_change_password) { lock(); return; }
     const isNew = JSON.stringify(found) !== JSON.stringify(person);
     person = found;
+    isLocked = false;
     setText(byId("who"), `${person.name} · ${rolesText(person.roles)}`);
     if (isNew) show();
   } catch (error) {
-    if (error.status === 401) lock();
+    if (error.status === 401 && !isLocked) lock();
     else if (person === null) byId("room").replaceChildren(part("p", error.message));
   }
 }
 
 function lock() {
+  isLocked = true;
   leave();
   person = null;
   setText(byId("who"), "");
-  byId("rooms").replaceChildren();
   const link = part("a", tr("office.log_in"));
   link.href = "../";
-  byId("room").replaceChildren(link);
+  const contract = part("a", tr("office.api"));
+  contract.href = "#api";
+  byId("rooms").replaceChildren(contract);
+  const root = byId("room");
+  root.replaceChildren(link);
+  if (window.location.hash !== contract.hash) return;
+  contract.setAttribute("aria-current", "page");
+  root.prepend(part("h1", tr("office.api")));
+  const abort = new AbortController();
+  leave = () => abort.abort();
+  contractRoom({ root, ended: abort.signal });
 }
 
 onRefusal(() => look());
-window.addEventListener("hashchange", () => { if (person !== null) show(); });
+window.addEventListener("hashchange", () => (person !== null ? show() : lock()));
 document.addEventListener("visibilitychange", () => { if (!document.hidden) look(); });
 setInterval(() => { if (!document.hidden) look(); }, ASK_MS);
 look();

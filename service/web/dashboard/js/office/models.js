@@ -1,7 +1,10 @@
-/** Motion models: those of the newest sessions, how well each explains its patient's breathing, and its spectrum. */
+/**
+ * Motion models: those of the newest sessions, how well each explains its patient's breathing, its spectrum, and how alike
+ * it is to the patient's model before it.
+ */
 
-import { listModels, listSessions, readSpectrum } from "../api.js";
-import { part } from "../drawing/elements.js";
+import { listModels, listSessions, readSimilarity, readSpectrum } from "../api.js";
+import { part, pushButton } from "../drawing/elements.js";
 import { localTime } from "../drawing/local_time.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
@@ -10,7 +13,7 @@ import { field, filled, form, section, table, typed } from "./parts.js";
 const SESSIONS = 10;
 const MODELS = 20;
 const SHOWN_SHARES = 7;
-const COLUMNS = [["patient"], ["fraction"], ["model"], ["learned"], ["frames", true], ["components", true], ["amplitude", true], ["explained", true], ["residual", true], ["noise", true], ["spectrum"]];
+const COLUMNS = [["patient"], ["fraction"], ["model"], ["learned"], ["frames", true], ["components", true], ["amplitude", true], ["explained", true], ["residual", true], ["noise", true], ["spectrum"], ["similarity"]];
 
 export function modelsRoom({ root, ended }) {
   const list = part("div", "");
@@ -27,17 +30,20 @@ async function read(search) {
 
 function shown(found, ended) {
   if (found.length === 0) return part("p", tr("office.no_models"), "note");
-  return table(COLUMNS.map(([name, isNumber]) => ({ name: tr(`office.${name}`), isNumber })), found.map(({ session, model }) => row(session, model, ended)));
+  return table(COLUMNS.map(([name, isNumber]) => ({ name: tr(`office.${name}`), isNumber })), found.map(({ session, model }, i) => row(session, model, before(found, i), ended)));
 }
 
-function row(session, model, ended) {
+/** The newest model of the same patient that is older than this one; newest models come first. */
+function before(found, i) {
+  return found.slice(i + 1).find(({ model }) => model.patient_reference === found[i].model.patient_reference)?.model;
+}
+
+function row(session, model, earlier, ended) {
   const { quality } = model;
   const figure = (name, digits, factor = 1) => (quality === null ? "–" : fixed(factor * quality[name], digits));
-  const spectrum = part("span", "");
-  const button = part("button", tr("office.show"));
-  button.type = "button";
-  button.addEventListener("click", () => filled(spectrum, ended, () => readSpectrum(model.id), ({ share }) => part("span", share.slice(0, SHOWN_SHARES).map((one) => `${fixed(100 * one, 1)} %`).join(" · "))));
-  spectrum.append(button);
+  const spectrum = shownOnDemand(ended, () => readSpectrum(model.id), ({ share }) => share.slice(0, SHOWN_SHARES).map((one) => `${fixed(100 * one, 1)} %`).join(" · "));
+  const alike = ({ explained_share: share, first_angle_deg: angle, shape_mm: shape }) => tr("office.similarity_is", { share: fixed(100 * share, 1), angle: fixed(angle, 1), shape: fixed(shape, 1) });
+  const similarity = earlier === undefined ? tr("office.first_model") : shownOnDemand(ended, () => readSimilarity(model.id, earlier.id), alike);
   return [
     model.patient_reference,
     session.fraction_id,
@@ -50,5 +56,13 @@ function row(session, model, ended) {
     figure("residual_mm", 2),
     figure("noise_mm", 2),
     spectrum,
+    similarity,
   ];
+}
+
+/** A button in whose place the answer to a call is put. */
+function shownOnDemand(ended, read, worded) {
+  const place = part("span", "");
+  place.append(pushButton(tr("office.show"), () => filled(place, ended, read, (found) => part("span", worded(found)))));
+  return place;
 }

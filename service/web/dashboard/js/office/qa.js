@@ -13,6 +13,7 @@ const LIMIT = 20;
 const TREND_RUNS = 200;
 const HOUR_MS = 3_600_000;
 const CAMERA = "camera";
+const KINDS = ["daily", "monthly", "annual"];
 
 export function qaRoom({ root, person, ended }) {
   const due = part("div", "");
@@ -46,21 +47,36 @@ function runRow(run) {
   ];
 }
 
-/** A daily run with the plate. Monthly and annual QA need the phantom's trace, and start at the command line. */
+/** A run: daily with the plate; monthly and annual with the phantom as well, whose trace is a file in a recording folder. */
 function startSection(person, ended, done) {
   const place = part("div", "");
   filled(place, ended, () => Promise.all([listCalibrations(), listRecordings()]), ([calibrations, recordings]) => {
     const progress = part("div", "");
     progress.setAttribute("role", "status");
     const safe = typed("checkbox");
+    const kind = chosen(KINDS.map((one) => [one, tr(`qa.${one}`)]));
+    const seen = () => chosen([[CAMERA, tr("office.the_camera")], ...recordings.items.map((one) => [one.path, one.path])]);
+    const phantom = part("fieldset", "");
+    phantom.append(
+      part("legend", tr("office.phantom")),
+      field(tr("office.phantom_seen_by"), seen(), "phantom"),
+      field(tr("office.phantom_trace"), typed("text", 200), "trace"),
+      field(tr("office.window_from"), number(), "lower"),
+      field(tr("office.window_to"), number(), "upper"),
+    );
+    const asks = () => { phantom.hidden = kind.value === "daily"; phantom.disabled = phantom.hidden; };
+    kind.addEventListener("change", asks);
+    asks();
     const fields = [
+      field(tr("office.kind"), kind, "kind"),
       field(tr("office.calibration"), chosen(calibrations.items.map((one) => [one.id, `${one.camera} · ${localTime(one.created_at)}`])), "calibration_id"),
-      field(tr("office.plate_seen_by"), chosen([[CAMERA, tr("office.the_camera")], ...recordings.items.map((one) => [one.path, one.path])]), "source"),
+      field(tr("office.plate_seen_by"), seen(), "source"),
+      phantom,
       field(tr("office.code"), typed("text", 20), "code"),
       field(tr("office.remark"), typed("text", 200), "note"),
       field(tr("office.beam_is_safe"), safe, "safe"),
     ];
-    const starting = form(fields, tr("office.start_daily"), async (given, button) => {
+    const starting = form(fields, tr("office.start_run"), async (given, button) => {
       button.disabled = true;
       try {
         await follow(await startQaRun(request(person, given, safe.checked)), progress, ended);
@@ -75,10 +91,16 @@ function startSection(person, ended, done) {
   return section(tr("office.new_run"), place);
 }
 
-function request(person, { calibration_id: calibration, source, code, note }, isSafe) {
-  const seen = source === CAMERA ? { kind: "device" } : { kind: "recording", path: source };
+function number() {
+  return Object.assign(typed("number"), { step: 0.1, min: -100, max: 100, required: true });
+}
+
+const sourceOf = (chosenSource) => (chosenSource === CAMERA ? { kind: "device" } : { kind: "recording", path: chosenSource });
+
+function request(person, { kind, calibration_id: calibration, source, phantom, trace, lower, upper, code, note }, isSafe) {
+  const moved = kind === "daily" ? {} : { phantom: { source: sourceOf(phantom), trace, window_lower_mm: Number(lower), window_upper_mm: Number(upper) } };
   return {
-    kind: "daily", operator: person.name, is_beam_safe: isSafe, plate: { source: seen },
+    kind, operator: person.name, is_beam_safe: isSafe, plate: { source: sourceOf(source) }, ...moved,
     ...(calibration === undefined ? {} : { calibration_id: calibration }), ...(code === undefined ? {} : { code }), ...(note === undefined ? {} : { note }),
   };
 }

@@ -4,16 +4,19 @@
  * The part that is shown stands in the page's address, so that a link leads to a session and to a moment in it.
  */
 
-import { readReport, readSamples, reportUrl, samplesUrl, signReport } from "../api.js";
-import { byId, part, said, say, setText } from "../drawing/elements.js";
+import { readReport, readTrace, reportUrl, samplesUrl, signReport } from "../api.js";
+import { byId, part, pushButton, said, say, setText } from "../drawing/elements.js";
 import { Chart } from "../drawing/chart.js";
 import { fixed } from "../drawing/numbers.js";
 import { localTime } from "../drawing/local_time.js";
 import * as layers from "../drawing/trace_layers.js";
 import { shortReason } from "../words/reasons.js";
-import { tr } from "../words/words.js";
+import { has, tr } from "../words/words.js";
+import { Moment } from "./moment.js";
 
-const SIGNALS = ["whole", "thorax", "abdomen"];
+/** Ranges that are asked for: the part shown and half of it on either side, at two for each of 1,000 pixels. */
+const POINTS = 4000;
+const RANGES_SHOWN = 1000;
 const SHORTEST_S = 0.5;
 /** Steps in which the report counts latencies [ms]. */
 const LATENCY_STEP_MS = 5;
@@ -22,8 +25,8 @@ const FACTOR = 1.5;
 const JOIN_S = 0.2;
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200];
 const MOST_MARKS = 8;
-/** The hold that is no event of its own: the breath leaves the window. */
-const USUAL = new Set(["outside_window", "disarmed", ""]);
+/** What is shown around an act of a person, before and after it [s]. */
+const AROUND_S = [10, 20];
 const NAMES = { session: "session", from: "from", to: "to" };
 
 /** The session that the page's address names, and the part of it [s]; null without one. */
@@ -42,6 +45,7 @@ export class Review {
     this.root = byId("review");
     this.frame = byId("review-frame");
     this.chart = null;
+    this.moment = new Moment((t) => this.#clock(t, true));
     this.forget();
     byId("review-all").addEventListener("click", () => this.#look(0, this.endS));
     byId("review-signal").addEventListener("change", () => this.#draw());
@@ -52,7 +56,8 @@ export class Review {
   }
 
   forget() {
-    Object.assign(this, { id: null, samples: null, range: null, endS: 0, startMs: NaN });
+    Object.assign(this, { id: null, trace: null, range: null, endS: 0, startMs: NaN, isReading: false });
+    this.moment.forget();
     this.root.hidden = true;
     setText(byId("review-note"), "");
     for (const name of ["review-motion", "review-look", "review-acts", "review-links", "review-signatures", "review-latency", "review-cells"]) byId(name).replaceChildren();
@@ -73,21 +78,25 @@ export class Review {
     byId("review-links").replaceChildren(...links(id));
     setText(byId("review-note"), tr("review.reading"));
     try {
-      const [report, text] = await Promise.all([readReport(id), readSamples(id)]);
+      const [report, trace] = await Promise.all([readReport(id), readTrace(id, { points: POINTS })]);
       if (id !== this.id) return;
+      this.trace = drawable(trace, 0, trace.end_s);
+      this.endS = trace.end_s;
+      if (trace.first_at !== null) this.startMs = Date.parse(trace.first_at);
       this.#figures(report);
       this.#signatures(report);
-      this.samples = parsed(text);
-      this.endS = this.samples.t.at(-1) ?? 0;
-      setText(byId("review-note"), this.samples.t.length === 0 ? tr("review.no_samples") : "");
-      if (this.samples.t.length > 0) this.#look(...(range ?? [0, this.endS]));
+      const isEmpty = trace.times_s.length === 0;
+      setText(byId("review-note"), isEmpty ? tr("review.no_samples") : "");
+      if (isEmpty) return;
+      this.#look(...(range ?? [0, this.endS]));
+      this.moment.show(id, (this.range[0] + this.range[1]) / 2);
     } catch (error) {
       if (id === this.id) setText(byId("review-note"), tr("review.not_read", { message: error.message }));
     }
   }
 
   #figures({ figures, deviations, events }) {
-    const rows = figures.motion.map((one) => [tr(`page.${one.signal}`), fixed(one.mean_mm, 2), fixed(one.deviation_mm, 2), `±${fixed(one.within_95_mm, 2)}`]);
+    const rows = figures.motion.map((one) => [has(`page.${one.signal}`) ? tr(`page.${one.signal}`) : one.signal, fixed(one.mean_mm, 2), fixed(one.deviation_mm, 2), `±${fixed(one.within_95_mm, 2)}`]);
     const head = [tr("review.region"), tr("review.mean"), tr("review.deviation"), tr("review.within")];
     const row = (cells, name) => {
       const line = part("tr", "");
@@ -100,9 +109,18 @@ export class Review {
     byId("review-look").replaceChildren(...(deviations.length === 0 ? [part("li", tr("review.nothing"))] : deviations.map((one) => part("li", said(one)))));
     byId("review-acts").replaceChildren(...events.map((one) => {
       const line = part("li", "");
-      line.append(part("time", localTime(one.at)), part("strong", one.actor), part("span", said(one.text)));
+      line.append(this.#timeOf(one.at), part("strong", one.actor), part("span", said(one.text)));
       return line;
     }));
+  }
+
+  /** The time of an act, which leads to its part of the trace if it is in it. */
+  #timeOf(at) {
+    const t = (Date.parse(at) - this.startMs) / 1000;
+    if (!(t >= 0 && t <= this.endS)) return part("time", localTime(at));
+    const made = pushButton(localTime(at), () => { this.#look(t - AROUND_S[0], t + AROUND_S[1]); this.moment.show(this.id, t); this.frame.scrollIntoView({ block: "nearest" }); });
+    made.className = "at";
+    return made;
   }
 
   /** What is signed, how much is missing, and the form for those who may sign. */
@@ -137,24 +155,55 @@ export class Review {
     this.range = [begin, begin + span];
     address({ id: this.id, range: this.range[0] === 0 && this.range[1] >= this.endS ? null : this.range });
     this.#draw();
+    this.#read();
+  }
+
+  /** Read the part that is shown at its scale, if what is there does not have it: of several wanted at once the last one. */
+  async #read() {
+    const { id } = this;
+    if (this.isReading) return;
+    this.isReading = true;
+    while (id === this.id && !this.#hasPart()) {
+      const [from, to] = this.range;
+      const spare = (to - from) / 2;
+      const asked = [Math.max(0, from - spare), Math.min(this.endS + 1, to + spare)];
+      try {
+        const trace = await readTrace(id, { from_s: asked[0], to_s: asked[1], points: POINTS });
+        if (id !== this.id) return;
+        this.trace = drawable(trace, ...asked);
+        setText(byId("review-note"), "");
+        this.#draw();
+      } catch (error) {
+        if (id !== this.id) return;
+        setText(byId("review-note"), tr("review.not_read", { message: error.message }));
+        break;
+      }
+    }
+    this.isReading = false;
+  }
+
+  #hasPart() {
+    const [from, to] = this.range;
+    const { from: first, to: last, stepS } = this.trace;
+    return first <= from && last >= Math.min(to, this.endS) && stepS <= (to - from) / RANGES_SHOWN;
   }
 
   #draw() {
-    if (this.samples === null || this.range === null) return;
+    if (this.trace === null || this.range === null) return;
     this.chart ??= this.#made();
-    const values = this.samples[byId("review-signal").value];
-    const [low, high] = extent(values, this.samples.t, this.range);
-    this.chart.draw([this.samples.t, values], this.range, [low, high]);
+    const values = this.trace.values[byId("review-signal").value];
+    const [low, high] = extent(values, this.trace.t, this.range);
+    this.chart.draw([this.trace.t, values], this.range, [low, high]);
   }
 
   #made() {
     const chart = new Chart(this.frame, [() => layers.COLORS.line], {
       below: (pen) => this.#below(pen),
-      above: (pen) => layers.drawLane(pen, layers.labelsOf(this.samples.holds.filter(({ t }) => t >= this.range[0]), [])),
+      above: (pen) => this.#above(pen),
       times: (from, to) => this.#times(from, to),
       hasLabels: () => true,
-      isJoined: (i) => i > 0 && this.samples.t[i] - this.samples.t[i - 1] < JOIN_S,
-      onPress: () => this.samples !== null,
+      isJoined: (i) => i > 0 && this.trace.t[i] - this.trace.t[i - 1] < Math.max(JOIN_S, 2 * this.trace.stepS),
+      onPress: () => this.trace !== null,
       onSelect: (from, to) => this.#look(from, to),
       onRelease: () => null,
     });
@@ -162,14 +211,26 @@ export class Review {
       event.preventDefault();
       this.#zoom(event.deltaY < 0, chart.timeAt(event.offsetX));
     }, { passive: false });
+    chart.over.addEventListener("pointermove", (event) => {
+      if (event.buttons === 0 && this.trace !== null) this.moment.show(this.id, Math.max(0, chart.timeAt(event.offsetX)));
+    });
     return chart;
   }
 
   #below(pen) {
     layers.drawUnit(pen, "mm");
     layers.clip(pen);
-    layers.drawBeam(pen, this.samples.beams.filter(([from, to]) => to >= this.range[0] && from <= this.range[1]));
+    layers.drawBeam(pen, this.trace.beams.filter(([from, to]) => to >= this.range[0] && from <= this.range[1]));
     layers.drawReference(pen);
+  }
+
+  /** Holds as long as they lasted, each with its cause in the lane. */
+  #above(pen) {
+    const [from, to] = this.range;
+    const holds = this.trace.holds.filter((one) => one.to >= from && one.from <= to);
+    layers.drawLane(pen, layers.labelsOf(holds, []));
+    layers.clip(pen);
+    layers.drawStates(pen, holds);
   }
 
   #zoom(isIn, at) {
@@ -179,7 +240,7 @@ export class Review {
   }
 
   #key(event) {
-    if (this.range === null || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (this.range === null || this.trace === null || event.ctrlKey || event.metaKey || event.altKey) return;
     const [from, to] = this.range;
     const step = (to - from) / 4;
     const act = {
@@ -193,10 +254,11 @@ export class Review {
     if (act === undefined) return;
     event.preventDefault();
     act();
+    this.moment.show(this.id, (this.range[0] + this.range[1]) / 2);
   }
 
   #times(from, to) {
-    if (this.samples === null) return [];
+    if (this.trace === null) return [];
     const step = STEPS_S.find((one) => (to - from) / one <= MOST_MARKS) ?? STEPS_S.at(-1);
     const marks = [];
     for (let at = Math.ceil(from / step) * step; at <= to; at += step) marks.push({ at, text: this.#clock(at, step < 1) });
@@ -204,7 +266,7 @@ export class Review {
   }
 
   #clock(t, hasTenths) {
-    const at = new Date(this.startMs + this.samples.firstMs + 1000 * t);
+    const at = new Date(this.startMs + 1000 * t);
     const text = at.toLocaleTimeString("en-GB");
     return hasTenths ? `${text}.${Math.floor(at.getMilliseconds() / 100)}` : text;
   }
@@ -267,29 +329,14 @@ function extent(values, t, [from, to]) {
   return [low - 1, high + 1];
 }
 
-/** The columns of the export that are drawn: times from the first frame [s], motion [mm], beam on, and holds. */
-function parsed(text) {
-  const [head, ...lines] = text.trimEnd().split("\n");
-  const names = head.split(",");
-  const [at, gate, reason, ...signals] = ["decided_ns", "gate", "hold_reason", ...SIGNALS.map((one) => `${one}_mm`)].map((name) => names.indexOf(name));
-  const found = { t: [], beams: [], holds: [], firstMs: 0 };
-  for (const name of SIGNALS) found[name] = [];
-  let [first, before] = [null, ""];
-  for (const line of lines) {
-    const cells = line.split(",");
-    // Nanoseconds since the machine's start exceed what a number holds exactly: the last digits do not matter here.
-    const ns = Number(cells[at]);
-    first ??= ns;
-    const t = (ns - first) / 1e9;
-    found.t.push(t);
-    SIGNALS.forEach((name, i) => found[name].push(cells[signals[i]] === "" ? null : Number(cells[signals[i]])));
-    const now = cells[gate] === "hold" || cells[gate] === "fault" ? cells[reason] : cells[gate];
-    if (cells[gate] === "beam_on") {
-      if (before === "beam_on") found.beams.at(-1)[1] = t;
-      else found.beams.push([t, t]);
-    } else if (before === "beam_on") found.beams.at(-1)[1] = t;
-    if (now !== before && now === cells[reason] && !USUAL.has(now)) found.holds.push({ t, gate: cells[gate], text: shortReason(now) });
-    before = now;
-  }
-  return found;
+/** What is drawn of a trace: a range as its least and its most at one time, holds and beam as they are. */
+function drawable(trace, from, to) {
+  const isExact = trace.step_s === 0;
+  const twice = (some, others) => (isExact ? some : some.flatMap((one, i) => [one, others[i]]));
+  return {
+    from, to, stepS: trace.step_s, beams: trace.beams_s,
+    t: twice(trace.times_s, trace.times_s),
+    values: Object.fromEntries(trace.signals.map((one) => [one.signal, twice(one.low_mm, one.high_mm)])),
+    holds: trace.holds.map((one) => ({ t: one.from_s, from: one.from_s, to: one.to_s, gate: one.gate, text: shortReason(one.reason) })),
+  };
 }

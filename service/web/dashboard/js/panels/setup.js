@@ -3,7 +3,7 @@
 import { createSession, listCalibrations, listDevices, listRecordings, prepareSession, uploadCalibration } from "../api.js";
 import { byId, say } from "../drawing/elements.js";
 import { may, obstacle } from "../people/permissions.js";
-import { isOver } from "./report.js";
+import { isOver } from "./summary.js";
 import { SessionForm } from "./session_form.js";
 import { WorkList } from "./work_list.js";
 import { tr } from "../words/words.js";

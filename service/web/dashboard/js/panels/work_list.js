@@ -3,7 +3,7 @@
 import { listPlans, listSessions } from "../api.js";
 import { byId, part, pushButton, setText } from "../drawing/elements.js";
 import { localTime } from "../drawing/local_time.js";
-import { isOver } from "./report.js";
+import { isOver } from "./summary.js";
 import { tr } from "../words/words.js";
 
 const SESSIONS = 12;
@@ -17,7 +17,7 @@ export class WorkList {
    *   values are entered again; and the plans that are offered
    */
   constructor(act) {
-    Object.assign(this, { act, search: byId("work-search"), timer: 0, asked: 0 });
+    Object.assign(this, { act, search: byId("work-search"), timer: 0, asked: 0, shown: {} });
     this.search.addEventListener("input", () => {
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.refresh(), PAUSE_MS);
@@ -28,6 +28,7 @@ export class WorkList {
   forget() {
     this.asked += 1;
     this.search.value = "";
+    this.shown = {};
     byId("plan-list").replaceChildren();
     byId("session-list").replaceChildren();
   }
@@ -46,7 +47,12 @@ export class WorkList {
 
   #show(name, { value, reason }, row, none) {
     const items = value?.items ?? [];
-    if (value !== undefined) byId(`${name}-list`).replaceChildren(...items.map(row));
+    const text = JSON.stringify(items);
+    // Rows that are the same stay: a click that began on one would be lost with it.
+    if (value !== undefined && text !== this.shown[name]) {
+      this.shown[name] = text;
+      byId(`${name}-list`).replaceChildren(...items.map(row));
+    }
     const empty = byId(`${name}-empty`);
     setText(empty, reason?.message ?? (items.length > 0 ? "" : none));
     empty.hidden = empty.textContent === "";

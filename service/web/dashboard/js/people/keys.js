@@ -34,12 +34,6 @@ export class KeyList {
     empty.hidden = empty.textContent === "";
   }
 
-  forget() {
-    this.list.replaceChildren();
-    this.form.reset();
-    say(this.outcome, "", "");
-  }
-
   #row(one) {
     const item = document.createElement("li");
     const state = stateOf(one);

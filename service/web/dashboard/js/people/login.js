@@ -106,10 +106,16 @@ export class LogIn {
       // The name is known; do not ask for it again.
       if (person.must_change_password) this.change.elements.old_password.value = typed;
       this.access.accept(person);
+      this.#goToOffice();
     } catch (error) {
       this.#refuse(error);
     }
     submit.disabled = performance.now() < this.freeAtMs;
+  }
+
+  /** A person who manages people and cannot run sessions works in the office: a log-in leads there. */
+  #goToOffice() {
+    if (this.access.may("people") && !this.access.may("create")) window.location.assign("office/#people");
   }
 
   #refuse(error) {
@@ -152,6 +158,7 @@ export class LogIn {
       this.isAsked = false;
       await this.access.ask();
       this.show();
+      this.#goToOffice();
     } catch (error) {
       say(outcome, "failed", error.message);
       if (error.status === 401) this.access.ask();

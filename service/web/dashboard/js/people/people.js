@@ -1,63 +1,40 @@
-/** The people panel: accounts, roles and API keys, for administrators. */
+/** Accounts with their roles and log-ins, and API keys, for administrators. */
 
-import { addPerson, changePerson, listPeople } from "../api.js";
+import { addPerson, changePerson, endLogIn, listLogIns, listPeople } from "../api.js";
 import { byId, confirmButton, part, pushButton, say, setText, tick, ticked } from "../drawing/elements.js";
+import { localTime } from "../drawing/local_time.js";
+import { filled, table } from "../office/parts.js";
 import { KeyList } from "./keys.js";
 import { ROLES, rolesText } from "./permissions.js";
 import { ShownOnce } from "./shown_once.js";
 import { tr } from "../words/words.js";
 
-export class PeoplePanel {
-  /** @param {import("./access.js").Access} access the log-in */
-  constructor(access) {
-    this.access = access;
-    this.panel = byId("people");
-    this.toggle = byId("do-people");
-    this.outcome = byId("people-outcome");
+export class People {
+  /**
+   * Fills the elements of the office's template, which are in the document.
+   *
+   * @param {object} person who is logged in
+   * @param {AbortSignal} ended nothing is shown after it, and a secret is removed
+   */
+  constructor(person, ended) {
+    Object.assign(this, { person, ended, outcome: byId("people-outcome"), form: byId("new-person") });
     this.once = new ShownOnce(byId("shown-once"));
     this.keys = new KeyList(this.once);
-    this.form = byId("new-person");
     byId("new-person-roles").append(...ROLES.map((role) => tick(rolesText([role]), role)));
-    this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
-    byId("people-close").addEventListener("click", () => this.show(false));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.#add();
     });
-  }
-
-  get isHidden() {
-    return this.panel.hidden;
-  }
-
-  show(isShown) {
-    if (isShown === !this.panel.hidden) return;
-    this.panel.hidden = !isShown;
-    this.toggle.setAttribute("aria-expanded", String(isShown));
-    this.once.forget();
-    say(this.outcome, "", "");
-    if (isShown) {
-      byId("people-heading").focus();
-      this.refresh();
-    } else this.#forget();
-  }
-
-  async refresh() {
-    if (this.panel.hidden) return;
-    await Promise.all([this.#load(), this.keys.load()]);
-  }
-
-  #forget() {
-    byId("people-list").replaceChildren();
-    this.keys.forget();
-    this.form.reset();
+    ended.addEventListener("abort", () => this.once.forget());
+    this.#load();
+    this.keys.load();
   }
 
   async #load() {
     const empty = byId("people-empty");
     try {
       const { items } = await listPeople();
-      if (this.panel.hidden) return;
+      if (this.ended.aborted) return;
       byId("people-list").replaceChildren(...items.map((one) => this.#row(one)));
       byId("people-next").hidden = items.length > 1;
       empty.textContent = "";
@@ -73,13 +50,40 @@ export class PeoplePanel {
     item.dataset.disabled = one.is_disabled ? "yes" : "no";
     const roles = part("fieldset", "");
     roles.append(part("legend", tr("people.roles_of", { name: one.name }), "unseen"), ...ROLES.map((role) => tick(rolesText([role]), role, one.roles.includes(role))));
-    roles.addEventListener("change", () => this.#change(one.name, { roles: ticked(roles) }, tr("people.roles_of_changed", { name: one.name })));
-    item.append(part("strong", one.name), part("span", this.#about(one), "small"), roles, this.#buttons(one));
+    roles.addEventListener("change", () => this.#offerRoles(one, roles));
+    item.append(part("strong", one.name), part("span", this.#about(one), "small"), roles, this.#buttons(one), this.#logIns(one.name));
     return item;
   }
 
+  /** Roles that are ticked take effect with a click of their own, which names them. */
+  #offerRoles(one, roles) {
+    roles.querySelector("button")?.remove();
+    const wanted = ticked(roles);
+    if (JSON.stringify(wanted) === JSON.stringify(ROLES.filter((role) => one.roles.includes(role)))) return;
+    const button = pushButton(tr("people.change_roles", { roles: rolesText(wanted) || tr("roles.none") }), () => this.#change(one.name, { roles: wanted }, tr("people.roles_of_changed", { name: one.name })));
+    button.className = "go";
+    roles.append(button);
+  }
+
+  /** The open log-ins of a person; each can be ended. */
+  #logIns(name) {
+    const details = part("details", "");
+    const place = part("div", "");
+    const columns = ["since", "seen", "until_when", "address", "way", "end"].map((one) => ({ name: tr(`office.${one}`) }));
+    const read = () => filled(place, this.ended, () => listLogIns(name), ({ items }) => (items.length === 0
+      ? part("p", tr("office.no_log_in"), "note")
+      : table(columns, items.map((one) => [localTime(one.created_at), localTime(one.seen_at), localTime(one.expires_at), one.address, one.way, one.is_this ? tr("office.this_one") : this.#end(name, one.id, read)]))));
+    details.append(part("summary", tr("office.log_ins")), place);
+    details.addEventListener("toggle", () => { if (details.open) read(); });
+    return details;
+  }
+
+  #end(name, id, again) {
+    return confirmButton(tr("office.end"), tr("office.confirm_end"), () => endLogIn(name, id).then(again, (error) => say(this.outcome, "failed", `${name}: ${error.message}`)));
+  }
+
   #about(one) {
-    const isMe = one.name === this.access.person?.name ? tr("people.this_is_you") : "";
+    const isMe = one.name === this.person.name ? tr("people.this_is_you") : "";
     const state = one.is_disabled ? tr("people.disabled") : one.must_change_password ? tr("people.must_change_the_password") : "";
     return [isMe, state].filter(Boolean).join(" · ");
   }

@@ -25,7 +25,7 @@ export function isOver(session) {
   return OVER.has(session.status) && Boolean(session.started_at);
 }
 
-export class Report {
+export class Summary {
   /**
    * @param {import("../people/access.js").Access} access the log-in and its permissions
    * @param {(session: object) => void} onCreated called with the session that continues the one shown

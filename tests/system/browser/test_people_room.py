@@ -20,12 +20,19 @@ PERMISSIONS = (DASHBOARD / "js" / "people" / "permissions.js").read_text()
 
 
 @pytest.fixture
-def panel(fake: FakeService, tab: Tab) -> Page:
-    fake.person = ADMIN
+def panel(fake: FakeService, own_tab: Tab) -> Page:
     fake.people.append(user("Ada L.", Role.THERAPIST))
-    page = tab.open("idle")
+    page = room(fake, own_tab)
     expect(page.locator("#people-list li")).to_have_count(2)
     return page
+
+
+def room(fake: FakeService, tab: Tab) -> Page:
+    """The office's room for people, as an administrator sees it."""
+    fake.person = fake.person if Role.ADMIN in fake.person["roles"] else ADMIN
+    tab.page.goto(f"{tab.url}/office/#people")
+    expect(tab.page.locator("#new-person")).to_be_visible()
+    return tab.page
 
 
 def listed(name: str) -> list[str]:
@@ -58,14 +65,13 @@ def test_the_page_s_own_table_is_the_service_s():
 def test_only_those_who_manage_people_are_offered_to(fake: FakeService, tab: Tab):
     page = tab.open("idle")
     expect(page.locator("#person-name")).to_have_text("A. Therapist")
-    expect(page.locator("#do-people")).to_be_hidden()
+    page.goto(f"{tab.url}/office/#people")
+    expect(page.locator("#rooms [aria-current]")).to_have_text("Sessions")
     assert not [path for _, path, _ in fake.calls if path.endswith(("/users", "/keys"))]
 
 
-def test_an_admin_who_is_alone_is_reported_what_comes_next(fake: FakeService, tab: Tab):
-    fake.person = ADMIN
-    page = tab.open("idle")
-    expect(page.locator("#people")).to_be_visible()
+def test_an_admin_who_is_alone_is_reported_what_comes_next(fake: FakeService, own_tab: Tab):
+    page = room(fake, own_tab)
     expect(page.locator("#people-next")).to_be_visible()
     expect(page.locator("#people-list")).to_contain_text("this is you")
     expect(page.locator("#key-empty")).to_contain_text("No key yet.")
@@ -81,32 +87,38 @@ def test_a_person_is_added_and_their_password_shown_once(fake: FakeService, pane
     assert fake.posts() == [("/users", {"name": "B. Physicist", "roles": ["physicist"]})]
     panel.click("#once-done")
     expect(panel.locator("#shown-once")).to_be_hidden()
-    panel.click("#people-close")
-    panel.click("#do-people")
     expect(panel.locator("#people-list li")).to_have_count(3)
     assert ONE_TIME not in panel.content()
 
 
-def test_a_secret_that_was_not_put_away_is_gone_when_the_panel_is_closed_or_the_log_in_ends(
-    fake: FakeService, tab: Tab, panel: Page
+def test_a_secret_that_was_not_put_away_is_gone_when_the_room_is_left_or_the_log_in_ends(
+    fake: FakeService, panel: Page
 ):
-    for end in ("close", "log out"):
+    for end in ("leaves", "log-in ends"):
         panel.fill("#new-person [name=name]", f"P. {end}")
         panel.click("#new-person [type=submit]")
         expect(panel.locator("#once-secret")).to_have_text(ONE_TIME)
-        panel.click("#people-close" if end == "close" else "#do-log-out")
-        expect(panel.locator("#people")).to_be_hidden()
+        if end == "leaves":
+            panel.get_by_role("link", name="Machine").click()
+        else:
+            fake.person = None
+            panel.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        expect(panel.locator("#shown-once")).to_have_count(0)
         assert ONE_TIME not in panel.content()
-        if end == "close":
-            panel.click("#do-people")
-    tab.sees("out")
+        if end == "leaves":
+            panel.get_by_role("link", name="People").click()
     assert "Ada L." not in panel.content()
 
 
-def test_roles_are_changed_by_their_ticks(fake: FakeService, panel: Page):
+def test_roles_that_are_ticked_are_changed_by_a_click_that_names_them(fake: FakeService, panel: Page):
     row = panel.locator("#people-list li").nth(1)
     expect(row.locator("[value=therapist]")).to_be_checked()
     row.locator("[value=viewer]").check()
+    assert "PATCH" not in [call[0] for call in fake.calls]
+    row.locator("[value=viewer]").uncheck()
+    expect(row.get_by_role("button", name="Change roles")).to_have_count(0)
+    row.locator("[value=viewer]").check()
+    row.get_by_role("button", name="Change roles to: viewer, therapist").click()
     expect(panel.locator("#people-outcome")).to_have_text("Roles of Ada L. changed.")
     assert "PATCH" in [call[0] for call in fake.calls]
     assert set(fake.people[1]["roles"]) == {"viewer", "therapist"}
@@ -116,6 +128,7 @@ def test_a_refused_change_is_stated_and_the_ticks_state_what_is(fake: FakeServic
     fake.problem = (409, {"code": "last_admin", "detail": "somebody has to be able to administer"})
     row = panel.locator("#people-list li").first
     row.locator("[value=admin]").uncheck()
+    row.get_by_role("button", name="Change roles").click()
     expect(panel.locator("#people-outcome")).to_have_text("Grace: somebody has to be able to administer")
     expect(panel.locator("#people-list li").first.locator("[value=admin]")).to_be_checked()
 
@@ -154,14 +167,13 @@ def test_a_key_is_made_and_its_secret_shown_once(fake: FakeService, panel: Page)
     assert SECRET not in panel.content()
 
 
-def test_a_key_is_revoked_by_two_clicks_and_ended_ones_offer_nothing(fake: FakeService, tab: Tab):
-    fake.person = ADMIN
+def test_a_key_is_revoked_by_two_clicks_and_ended_ones_offer_nothing(fake: FakeService, own_tab: Tab):
     fake.people.append(user("Ada L."))
     fake.keys = [
         api_key("Planning", "sessions.read"),
         api_key("Old", "sessions.read", expires_at="2026-01-01T00:00:00Z"),
     ]
-    page = tab.open("idle")
+    page = room(fake, own_tab)
     rows = page.locator("#key-list li")
     expect(rows.nth(1)).to_contain_text("expired 2026-01-01")
     expect(rows.nth(1).get_by_role("button")).to_have_count(0)
@@ -171,26 +183,46 @@ def test_a_key_is_revoked_by_two_clicks_and_ended_ones_offer_nothing(fake: FakeS
     assert fake.posts() == [("/keys/plan/revoke", {})]
 
 
-def test_what_cannot_be_reported_is_not_shown_as_if_there_were_no_one(fake: FakeService, tab: Tab):
-    fake.person = ADMIN
-    page = tab.open("idle")
-    expect(page.locator("#people-list li")).to_have_count(1)
-    page.route("**/api/v1/users", lambda route: route.abort())
-    page.route("**/api/v1/keys", lambda route: route.abort())
-    page.click("#people-close")
-    page.click("#do-people")
+def test_what_cannot_be_read_is_not_shown_as_if_there_were_no_one(fake: FakeService, own_tab: Tab):
+    own_tab.page.route("**/api/v1/users", lambda route: route.abort())
+    own_tab.page.route("**/api/v1/keys", lambda route: route.abort())
+    page = room(fake, own_tab)
     why = "cannot be read. The controller cannot be reached."
     expect(page.locator("#people-empty")).to_have_text(f"The people {why}")
     expect(page.locator("#key-empty")).to_have_text(f"The keys {why}")
     expect(page.locator("#people-list li")).to_have_count(0)
 
 
-def test_names_are_never_taken_for_markup(fake: FakeService, tab: Tab):
+def test_the_log_ins_of_a_person_are_ended_by_two_clicks(fake: FakeService, own_tab: Tab):
+    at = "2026-11-24T07:00:00Z"
+    way = {"created_at": at, "seen_at": at, "expires_at": at, "address": "10.0.0.7", "way": "password"}
+    fake.logins = [{"id": "ab" * 16, "is_this": False, **way}]
+    page = room(fake, own_tab)
+    page.locator("#people-list summary").first.click()
+    row = page.locator("#people-list tbody tr")
+    expect(row).to_contain_text("10.0.0.7")
+    row.get_by_role("button").click()
+    row.get_by_role("button").click()
+    assert [path for path, _ in fake.posts()] == [f"/users/Grace/logins/{'ab' * 16}/end"]
+
+
+def test_an_administrator_is_led_to_the_office_by_the_log_in(fake: FakeService, own_tab: Tab):
+    fake.person = None
+    page = own_tab.open("out")
+    fake.people = [user("Grace", Role.ADMIN)]
+    fake.passwords["Grace"] = ("a password of Grace", ADMIN)
+    page.fill("#log-in [name=name]", "Grace")
+    page.fill("#log-in [name=password]", "a password of Grace")
+    page.keyboard.press("Enter")
+    expect(page.locator("#new-person")).to_be_visible()
+
+
+def test_names_are_never_taken_for_markup(fake: FakeService, own_tab: Tab):
     fake.person = ADMIN | {"name": EVIL}
     fake.people = [user(EVIL, Role.ADMIN), user("Ada L.")]
     fake.keys = [api_key(EVIL, "sessions.read")]
-    page = tab.open("idle")
+    page = room(fake, own_tab)
     expect(page.locator("#people-list strong").first).to_have_text(EVIL)
-    expect(page.locator("#person-name")).to_have_text(EVIL)
+    expect(page.locator("#who")).to_contain_text(EVIL)
     assert page.locator("img").count() == 0
     assert page.evaluate("window.owned") is None
