@@ -382,12 +382,21 @@ class Device(TypedDict):
     uri: str
 
 
+class DeviceKind(TypedDict):
+    """A kind of cameras, by its SDK."""
+
+    install_hint: str
+    is_installed: bool
+    label: str
+
+
 class DeviceList(TypedDict):
     """Cameras; `detail` says why the list is empty."""
 
     detail: str
     is_runtime_available: bool
     items: list[Device]
+    kinds: NotRequired[list[DeviceKind]]
 
 
 class Dropped(TypedDict):
@@ -413,7 +422,7 @@ class Gap(TypedDict):
 class Hello(TypedDict):
     """First message of every connection; fields that do not apply are left out."""
 
-    calibration: NotRequired[Literal["uploaded", "device registration"] | None]
+    calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"] | None]
     calibration_warning: NotRequired[str | None]
     camera_fps: NotRequired[float | None]
     encoding: Literal["json", "msgpack"]
@@ -745,7 +754,7 @@ class PositionCheckRequest(TypedDict):
 class PreparedSession(TypedDict):
     """A session created from a plan, with notes for the operator."""
 
-    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     continues: NotRequired[str | None]
@@ -1202,7 +1211,7 @@ class Sample(TypedDict):
     body_warning: NotRequired[str | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
-    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"]]
     camera_view: NotRequired[LiveCameraView | None]
     captured_at: NotRequired[str | None]
     checks: NotRequired[list[LiveCheck]]
@@ -1253,7 +1262,7 @@ class Sample(TypedDict):
 class Session(TypedDict):
     """A session."""
 
-    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     continues: NotRequired[str | None]
@@ -1404,7 +1413,7 @@ class SessionDetail(TypedDict):
     body: NotRequired[BodyView | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
-    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     camera: NotRequired[CameraView | None]

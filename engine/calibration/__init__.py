@@ -9,6 +9,7 @@ from engine.core.lazy_door import lazy_door
 
 if TYPE_CHECKING:
     from engine.calibration.camera_calibration import (
+        FACTORY_NAME as FACTORY_NAME,
         STRICT as STRICT,
         Calibration as Calibration,
         Disparity as Disparity,
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
         CameraViewMeter as CameraViewMeter,
     )
     from engine.calibration.device_registration import (
-        registered_calibration as registered_calibration,
+        built_in_calibration as built_in_calibration,
     )
     from engine.calibration.laser_plane import (
         LaserPlane as LaserPlane,

@@ -21,6 +21,8 @@ MAX_BASELINE_MM = 200.0
 ROTATION_TOLERANCE = 1e-3
 REGISTRATION_NAME = "device registration"
 """Prefix of the camera's name in a nominal calibration, for a device that registers depth to colour itself."""
+FACTORY_NAME = "device calibration"
+"""Prefix of the camera's name in the calibration that a device has from its maker."""
 NARROWEST_RAD, WIDEST_RAD = 0.3, 1.9
 STRICT = StrictJson(error=CalibrationError)
 
@@ -90,14 +92,19 @@ class Calibration:
                     raise CalibrationError(f"{name}.{field}", wanted, f"{given}, as the camera's pictures are")
 
     @staticmethod
-    def is_registration_name(camera: str) -> bool:
-        """Whether this name marks a device's own registration."""
-        return camera.startswith(REGISTRATION_NAME)
+    def is_built_in_name(camera: str) -> bool:
+        """Whether this name marks what a device brings itself: its registration, or its maker's calibration."""
+        return camera.startswith((REGISTRATION_NAME, FACTORY_NAME))
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether nothing was measured on this unit here: the device's registration, or its maker's calibration."""
+        return self.is_built_in_name(self.camera)
 
     @property
     def is_device_registration(self) -> bool:
         """Whether this is the nominal geometry of a device's own registration, and nothing was measured."""
-        return self.is_registration_name(self.camera)
+        return self.camera.startswith(REGISTRATION_NAME)
 
     @property
     def sha256(self) -> str:

@@ -1,13 +1,15 @@
 """The camera drivers: one row for each SDK. Nothing outside of an SDK's folder names it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from engine.capture.openni.driver import OpenNiDriver
-from engine.capture.source import CameraDriver, ListedCamera, LiveSource, RegisteredView
+from engine.capture.realsense.driver import RealSenseDriver
+from engine.capture.source import CameraDriver, FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
 from engine.core.errors import RuntimeMissingError, SourceLostError
 
-CAMERAS: tuple[CameraDriver, ...] = (OpenNiDriver(),)
+CAMERAS: tuple[CameraDriver, ...] = (RealSenseDriver(), OpenNiDriver())
 """Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
 
 
@@ -34,11 +36,23 @@ def list_cameras(pinned: str = "") -> list[ListedCamera]:
     RuntimeMissingError
         No SDK is on this machine.
     """
-    available = [driver for driver in CAMERAS if driver.is_available()]
+    available = [driver for driver in _available() if _may_have(driver, pinned)]
     if not available:
         raise RuntimeMissingError(missing_text())
-    found = [camera for driver in available for camera in driver.list_cameras()]
+    found, failed = list[ListedCamera](), list[RuntimeMissingError]()
+    for driver in available:
+        try:
+            found += driver.list_cameras()
+        except RuntimeMissingError as error:
+            failed.append(error)
+    if len(failed) == len(available):
+        raise failed[0]
     return [camera for camera in found if camera.uri.startswith(pinned)]
+
+
+def _may_have(driver: CameraDriver, pinned: str) -> bool:
+    """Whether a camera with an address that begins so can be one of this driver; no other SDK is started for it."""
+    return driver.prefix.startswith(pinned) or _driver_of(pinned) is driver
 
 
 def listed_address(uri: str | None, pinned: str = "") -> str:
@@ -83,6 +97,32 @@ def open_camera(uri: str | None, *, clock: Clock, use_registration: bool = False
 def registered_view(uri: str) -> RegisteredView | None:
     """Return a camera's registered view; see :meth:`engine.capture.source.CameraDriver.registered_view`."""
     return _driver_of(uri).registered_view(uri)
+
+
+def factory_calibration(uri: str) -> FactoryCalibration | None:
+    """Return a camera's own calibration; see :meth:`engine.capture.source.CameraDriver.factory_calibration`."""
+    return _driver_of(uri).factory_calibration(uri)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraKind:
+    """A kind of cameras: its SDK, whether that is installed, and what installs it."""
+
+    label: str
+    is_installed: bool
+    install_hint: str
+
+
+def kinds() -> list[CameraKind]:
+    """Return every kind of cameras, installed or not."""
+    return [
+        CameraKind(label=one.label, is_installed=one.is_installed(), install_hint=one.install_hint) for one in CAMERAS
+    ]
+
+
+def is_player_available() -> bool:
+    """Whether an SDK here plays recordings in real time."""
+    return any(driver.is_player and driver.is_available() for driver in CAMERAS)
 
 
 def real_time_player(path: Path, *, clock: Clock) -> LiveSource | None:

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from engine.core.clock import Clock
 from engine.core.frames import RgbdFrame
+from engine.core.geometry import Intrinsics, RigidTransform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +77,17 @@ class RegisteredView:
     field_of_view_rad: tuple[float, float]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FactoryCalibration:
+    """The calibration that a camera has from its maker, as its SDK reports it."""
+
+    camera: str
+    serial: str
+    depth: Intrinsics
+    color: Intrinsics
+    color_from_depth: RigidTransform
+
+
 class CameraDriver(Protocol):
     """The cameras of one SDK; stateless, from any thread."""
 
@@ -88,6 +100,10 @@ class CameraDriver(Protocol):
         """The SDK's name in messages, such as "the OpenNI2 runtime"."""
 
     @property
+    def is_player(self) -> bool:
+        """Whether the SDK plays recordings in real time, where it is installed."""
+
+    @property
     def install_hint(self) -> str:
         """What an administrator does where the SDK is missing."""
 
@@ -95,7 +111,7 @@ class CameraDriver(Protocol):
         """Whether the SDK is on this machine; does not try to start it."""
 
     def is_available(self) -> bool:
-        """Whether the SDK is on this machine and starts."""
+        """Whether the SDK is on this machine and starts, as far as that is known without a process for it."""
 
     def list_cameras(self) -> list[ListedCamera]:
         """List the connected cameras; raise RuntimeMissingError without the SDK."""
@@ -126,3 +142,6 @@ class CameraDriver(Protocol):
         RuntimeMissingError, SourceLostError
             No SDK, or no such camera.
         """
+
+    def factory_calibration(self, uri: str) -> FactoryCalibration | None:
+        """Return the calibration of a camera by its maker; None where it has none. Raises as `registered_view`."""

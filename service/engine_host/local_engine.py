@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
-from engine.calibration import Calibration, CameraViewMeter, registered_calibration
+from engine.calibration import Calibration, CameraViewMeter, built_in_calibration
 from engine.capture import DepthSource, LiveSource, OniFileSource, ReturningSource, drivers
 from engine.control import Command, EngineLoop, EngineStatus, FrameRecord, GateTransition, LoopStatus
 from engine.core.clock import Clock, MonotonicClock
@@ -91,7 +91,7 @@ class LocalEngine:
             plan.window,
             self._settings,
             plan.regions,
-            is_calibrated=not plan.calibration.is_device_registration,
+            is_calibrated=not plan.calibration.is_built_in,
             head_direction=plan.head_direction,
             camera_latency_ms=plan.camera_latency_ms,
         )
@@ -134,14 +134,14 @@ class LocalEngine:
         loop.start()
         return LoopEngine(loop, tape)
 
-    def registered_calibration(self, uri: str | None) -> Calibration:
-        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+    def built_in_calibration(self, uri: str | None) -> Calibration:
+        """Return the calibration that a camera brings itself; refuse one that has none."""
         with self._camera_lock:
             newest = self._newest()
             if newest is not None and not newest.status.is_over:
                 msg = "a session is running: its camera cannot be queried"
                 raise CommandRefusedError(msg)
-            return _registered(uri, self._settings.camera_uri)
+            return _built_in(uri, self._settings.camera_uri)
 
     def note_server_turn(self, turned_ns: int) -> None:
         """Do nothing: an engine in the server's own process has no silence to supervise, as tests run it."""
@@ -149,13 +149,20 @@ class LocalEngine:
     def devices(self) -> sessions.DeviceList:
         """List the cameras that could be used."""
         if not drivers.is_any_available():
-            return sessions.DeviceList(is_runtime_available=False, detail=drivers.missing_text(), items=[])
+            return sessions.DeviceList(
+                is_runtime_available=False,
+                detail=drivers.missing_text(),
+                kinds=sessions.device_kinds(drivers.kinds()),
+                items=[],
+            )
         items = [
             sessions.Device(uri=device.uri, name=f"{device.vendor} {device.name}")
             for device in drivers.list_cameras(self._settings.camera_uri)
         ]
         detail = "" if items else drivers.none_text()
-        return sessions.DeviceList(is_runtime_available=True, detail=detail, items=items)
+        return sessions.DeviceList(
+            is_runtime_available=True, detail=detail, kinds=sessions.device_kinds(drivers.kinds()), items=items
+        )
 
     def _source(self, plan: SessionPlan) -> DepthSource:
         if isinstance(plan.source, sessions.DeviceSource):
@@ -177,8 +184,8 @@ class LocalEngine:
     def _camera(self, uri: str | None, calibration: Calibration) -> LiveSource:
         is_registered = calibration.is_device_registration
         pinned = self._settings.camera_uri
-        if is_registered and _registered(uri, pinned).sha256 != calibration.sha256:
-            msg = "the camera is not the one whose registration this session was created for"
+        if calibration.is_built_in and _built_in(uri, pinned).sha256 != calibration.sha256:
+            msg = "the camera is not the one whose own calibration this session was created with"
             raise SourceLostError(msg)
         address = drivers.listed_address(uri, pinned)
         source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered)
@@ -191,10 +198,10 @@ class LocalEngine:
         return played or OniFileSource(path, clock=self._clock, is_paced=True, is_repeated=player == "repeated")
 
 
-def _registered(uri: str | None, pinned: str) -> Calibration:
-    calibration = registered_calibration(drivers.listed_address(uri, pinned))
+def _built_in(uri: str | None, pinned: str) -> Calibration:
+    calibration = built_in_calibration(drivers.listed_address(uri, pinned))
     if calibration is None:
-        bound = "given: this camera does not register depth to colour itself"
+        bound = "given: this camera neither registers depth to colour itself nor has a calibration of its maker"
         raise InvalidValueError("calibration_id", "missing", bound)
     return calibration
 

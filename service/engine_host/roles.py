@@ -184,8 +184,8 @@ class EnginePort(Protocol):
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
 
-    def registered_calibration(self, uri: str | None) -> Calibration:
-        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+    def built_in_calibration(self, uri: str | None) -> Calibration:
+        """Return the calibration that a camera brings itself; refuse one that has none."""
 
     def devices(self) -> sessions.DeviceList:
         """List the cameras that could be used."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from engine.capture.openni import c_api
 from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
-from engine.capture.source import ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
 
 REGISTERED_SIZE_PX = (640, 480)
@@ -16,6 +16,7 @@ class OpenNiDriver:
 
     prefix = ""
     label = "the OpenNI2 runtime"
+    is_player = True
     install_hint = "apt-get install libopenni2-0"
 
     def is_installed(self) -> bool:
@@ -39,6 +40,10 @@ class OpenNiDriver:
     def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource:
         """Return what plays an ``.oni`` file in real time through the runtime."""
         return OpenNiSource(path, clock=clock, record_to=record_to)
+
+    def factory_calibration(self, uri: str) -> FactoryCalibration | None:  # noqa: ARG002
+        """Return None: the runtime reports none."""
+        return None
 
     def registered_view(self, uri: str) -> RegisteredView | None:
         """Return the view of a device that registers depth to colour itself; None if it cannot."""

@@ -27,7 +27,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from engine.capture.drivers import is_any_available, missing_text
+from engine.capture.drivers import is_player_available, missing_text
 from engine.core.errors import TidegateError
 from service.access.accounts.passwords import Argon2Hashing
 from service.access.accounts.people import AccountService, Change
@@ -193,7 +193,7 @@ def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path
 
 def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
     """Run one session from its creation to the end of the recording; return its identifier."""
-    player: Literal["openni", "reader"] = "openni" if is_any_available() else "reader"
+    player: Literal["openni", "reader"] = "openni" if is_player_available() else "reader"
     if player == "reader":
         console.print(
             f"  {missing_text()}. Playing through Tidegate's own reader.",

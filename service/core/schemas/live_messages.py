@@ -10,7 +10,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
 from service.core.schemas.sentences import SENTENCES, SentenceParts, Text
 
-CalibrationKind = Literal["uploaded", "device registration"]
+CalibrationKind = Literal["uploaded", "device registration", "device calibration"]
 SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
 SessionStatusName = Literal["running", "ended", "stopped", "failed"]
 StateName = Literal["training", "measuring", "lost"]

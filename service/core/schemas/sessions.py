@@ -4,6 +4,7 @@ Lengths are mm, times RFC 3339 UTC, motion is positive for inhale. Requests with
 values out of bounds are refused. The bounds here hold for all sites; a site's settings may be narrower.
 """
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
@@ -26,7 +27,7 @@ from service.core.schemas.sentences import Text
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
-CalibrationKind = Literal["uploaded", "device registration"]
+CalibrationKind = Literal["uploaded", "device registration", "device calibration"]
 
 
 class RecordingSource(Request):
@@ -624,9 +625,23 @@ class Device(Answer):
     name: str
 
 
+class DeviceKind(Answer):
+    """A kind of cameras, by its SDK."""
+
+    label: str = Field(examples=["the RealSense SDK"])
+    is_installed: bool
+    install_hint: str = Field(description="What installs the SDK where it is missing")
+
+
+def device_kinds(kinds: Iterable[object]) -> list[DeviceKind]:
+    """Return the engine's kinds of cameras as they are answered."""
+    return [DeviceKind.model_validate(one, from_attributes=True) for one in kinds]
+
+
 class DeviceList(Answer):
     """Cameras; `detail` says why the list is empty."""
 
     is_runtime_available: bool
     detail: str
+    kinds: list[DeviceKind] = Field(default=[], description="Every kind of cameras that this version can use")
     items: list[Device]

@@ -317,7 +317,7 @@ def _query_camera(adapter: LocalEngine, request: ListDevices | ReadRegistration)
         case ListDevices():
             return adapter.devices()
         case ReadRegistration():
-            return adapter.registered_calibration(request.uri)
+            return adapter.built_in_calibration(request.uri)
 
 
 def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPage) -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 
 from engine.calibration import Calibration
-from engine.capture.drivers import is_any_installed
+from engine.capture.drivers import is_any_installed, kinds
 from engine.core.errors import CommandRefusedError, TidegateError
 from engine.motion import PipelineSettings
 from service.core.errors import EngineProcessError
@@ -234,8 +234,8 @@ class ProcessEngine:
         """Note a turn of the web server's event loop; heartbeats carry the newest, so a blocked loop is silence."""
         self._server_turned_ns = turned_ns
 
-    def registered_calibration(self, uri: str | None) -> Calibration:
-        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+    def built_in_calibration(self, uri: str | None) -> Calibration:
+        """Return the calibration that a camera brings itself; refuse one that has none."""
         with self._turn(OPEN_TURN_S):
             if self._is_running:
                 msg = "a session is running: its camera cannot be queried"
@@ -261,7 +261,12 @@ class ProcessEngine:
     @property
     def _earlier_list(self) -> sessions.DeviceList:
         if self._listed is None:
-            return sessions.DeviceList(is_runtime_available=is_any_installed(), detail=NEVER_LISTED, items=[])
+            return sessions.DeviceList(
+                is_runtime_available=is_any_installed(),
+                detail=NEVER_LISTED,
+                kinds=sessions.device_kinds(kinds()),
+                items=[],
+            )
         return self._listed.model_copy(update={"detail": LISTED_EARLIER})
 
     def _remember(self, answer: CameraAnswer) -> sessions.DeviceList:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from engine.calibration import Calibration
+from engine.calibration import FACTORY_NAME, Calibration
 from engine.capture import CheckedSource, LiveSource, SourceDescription
 from engine.core.errors import CameraMismatchError
 from engine.core.sentences import say
@@ -72,14 +72,24 @@ WARNING = say(
 )
 
 
+FACTORY_WARNING = say(
+    "the camera's calibration by its maker is used; scale and alignment of this unit were not measured here: not for "
+    "treatment"
+)
+
+
 def kind_of(camera: str) -> sessions.CalibrationKind:
     """Return the kind of a calibration, by the name of its camera."""
-    return "device registration" if Calibration.is_registration_name(camera) else "uploaded"
+    if camera.startswith(FACTORY_NAME):
+        return "device calibration"
+    return "device registration" if Calibration.is_built_in_name(camera) else "uploaded"
 
 
 def warning_of(camera: str) -> str | None:
     """Return the note beside every result of such a session."""
-    return WARNING if Calibration.is_registration_name(camera) else None
+    if camera.startswith(FACTORY_NAME):
+        return FACTORY_WARNING
+    return WARNING if Calibration.is_built_in_name(camera) else None
 
 
 def described(camera: str) -> dict[str, object]:
@@ -90,8 +100,8 @@ def described(camera: str) -> dict[str, object]:
 
 def refuse_reserved_name(calibration: Calibration) -> None:
     """Refuse an uploaded calibration with the reserved camera name; raise BoundError."""
-    if calibration.is_device_registration:
-        bound = "another name: this one marks a camera's own registration"
+    if calibration.is_built_in:
+        bound = "another name: this one marks what a camera brings itself"
         msg = f"camera must be {bound}"
         raise BoundError(msg, field="camera", value=calibration.camera, bound=bound)
 
@@ -109,7 +119,7 @@ def check_allowed(request: sessions.SessionRequest, settings: Settings) -> None:
 
 def check_still_allowed(calibration: Calibration, settings: Settings) -> None:
     """Refuse to start a session on a camera's registration if the site no longer allows it; raise BoundError."""
-    if calibration.is_device_registration and not settings.allow_device_registration:
+    if calibration.is_built_in and not settings.allow_device_registration:
         raise _refused(calibration.camera, FORBIDDEN)
 
 

@@ -270,7 +270,7 @@ class SessionRepository:
             return None
         check_allowed(request, self._settings)
         assert isinstance(request.source, sessions.DeviceSource), "recordings were refused"
-        return self._engine.registered_calibration(request.source.uri)
+        return self._engine.built_in_calibration(request.source.uri)
 
     def _calibration(
         self, db: Session, request: sessions.SessionRequest, nominal: Calibration | None

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from engine.capture import drivers
-from engine.capture.source import ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
 from engine.core.errors import RuntimeMissingError
 
@@ -22,6 +22,7 @@ class FakeDriver:
     """
 
     label, install_hint = "the fake SDK", "nothing helps"
+    is_player = True
 
     def __init__(
         self,
@@ -60,6 +61,9 @@ class FakeDriver:
         return made
 
     def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource | None:  # noqa: ARG002
+        return None
+
+    def factory_calibration(self, uri: str) -> FactoryCalibration | None:  # noqa: ARG002
         return None
 
     def registered_view(self, uri: str) -> RegisteredView | None:

@@ -307,7 +307,7 @@ class FakeEngine:
         self.opened.append(running)
         return running
 
-    def registered_calibration(self, uri: str | None) -> Calibration:
+    def built_in_calibration(self, uri: str | None) -> Calibration:
         self.probed.append(uri)
         self.while_probed()
         if self.fail_with is not None:

@@ -145,14 +145,21 @@ class Room:
 
 
 @contextlib.contextmanager
-def room(folder: Path, film: Film | None = None, **settings: object) -> Iterator[Room]:
-    """Open a room whose camera a person has calibrated."""
+def room(
+    folder: Path,
+    film: Film | None = None,
+    *,
+    seen_as: Callable[[VirtualXtion], dict[str, str]] = lambda camera: camera.environment,
+    **settings: object,
+) -> Iterator[Room]:
+    """Open a room whose camera a person has calibrated; ``seen_as`` is the environment in which the camera is seen."""
     port = free_port()
     with VirtualXtion(folder, film) as camera, receiver("tcp") as far:
         with contextlib.suppress(OSError):  # a real receiver shares its processor with no one
             os.setpriority(os.PRIO_PROCESS, far.process.pid, -15)
-        reported = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, "OPERATOR_TIMEOUT_S": 0.0, **settings}
-        environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in reported.items()}
+        own = {name.upper(): value for name, value in settings.items()}
+        reported = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, "OPERATOR_TIMEOUT_S": 0.0, **own}
+        environment = seen_as(camera) | {f"TIDEGATE_{name}": str(value) for name, value in reported.items()}
         arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
         started = service_process(
             *arguments, port=port, log=folder / "log", environment=environment, data=folder / "data"

@@ -1,5 +1,7 @@
 """The page trusts nobody's text, and asks nobody but its own controller."""
 
+import re
+
 import pytest
 from playwright.sync_api import expect
 
@@ -57,13 +59,15 @@ def test_the_files_name_no_other_host_and_hold_no_inline_code():
     for file in DASHBOARD.rglob("*"):
         if file.is_dir() or file.suffix == ".woff2":
             continue
-        # What is vendored is as published: the addresses in its lines of comment stay.
-        lines = file.read_text().splitlines()
-        is_vendored = "vendor" in file.relative_to(DASHBOARD).parts
-        text = "\n".join(line for line in lines if not (is_vendored and line.lstrip().startswith(("//", "*"))))
+        text = file.read_text()
+        if "vendor" in file.relative_to(DASHBOARD).parts:
+            # What is vendored is as published: the addresses in its comments stay.
+            text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+            text = re.sub(r"(^|\s)//.*$", "", text, flags=re.MULTILINE)
+        # Names of XML, which are never asked for.
+        text = re.sub(r"http://www\.w3\.org/(2000/svg|1999/xhtml)", "", text)
         for scheme in ("http://", "https://", "//cdn", "innerHTML", "outerHTML", "insertAdjacentHTML", "eval("):
-            found = text.replace("http://www.w3.org/2000/svg", "").count(scheme)
-            assert found == 0, f"{scheme} in {file.name}"
+            assert scheme not in text, f"{scheme} in {file.name}"
     page = (DASHBOARD / "index.html").read_text()
     for inline in ("<style", "style=", "onclick", "onload", "javascript:"):
         assert inline not in page

@@ -85,7 +85,7 @@ def test_who_would_open_a_camera_is_asked_about_it_and_stands_by_again(asked):
     assert [one.uri for one in listed.items] == list(two_cameras_program.ALL)
     pid = asked._standby._ready.process.pid
     assert answering(listed) == {f"Virtual {pid}"}
-    assert asked.registered_calibration(two_cameras_program.REGISTERED).is_device_registration
+    assert asked.built_in_calibration(two_cameras_program.REGISTERED).is_device_registration
     assert answering(asked.devices()) == {f"Virtual {pid}"}
     assert (asked.trouble, asked.processes_lost) == (None, 0)
 
@@ -99,7 +99,7 @@ def test_who_would_open_a_camera_is_asked_about_it_and_stands_by_again(asked):
 )
 def test_what_a_camera_is_refused_for_crosses_and_the_process_stands_by_again(asked, uri, error, words):
     with pytest.raises(error, match=words):
-        asked.registered_calibration(uri)
+        asked.built_in_calibration(uri)
     assert (asked.trouble, asked.processes_lost) == (None, 0)
 
 
@@ -112,7 +112,7 @@ def test_one_that_does_not_answer_about_a_camera_is_ended_and_another_stands_by(
     eventually(lambda: asked.trouble is None)
     monkeypatch.setattr(port_module, "ASK_S", 0.5)
     with pytest.raises(EngineProcessError, match=cause):
-        asked.registered_calibration(uri)
+        asked.built_in_calibration(uri)
     monkeypatch.setattr(port_module, "ASK_S", PATIENCE_S)
     assert asked.processes_lost == 1
     assert [one.uri for one in asked.devices().items] == list(two_cameras_program.ALL)
@@ -124,10 +124,10 @@ def test_a_session_s_camera_is_listed_before_it_begins_and_not_asked_about_while
     during = asked.devices()
     assert (answering(during), during.detail) == ({f"Virtual {engine.process_id}"}, LISTED_EARLIER)
     with pytest.raises(CommandRefusedError, match="a session is running"):
-        asked.registered_calibration(two_cameras_program.REGISTERED)
+        asked.built_in_calibration(two_cameras_program.REGISTERED)
     assert asked._standby._ready is None, "none is started beside a session, whatever is asked"
     engine.stop()
-    assert asked.registered_calibration(two_cameras_program.REGISTERED).is_device_registration
+    assert asked.built_in_calibration(two_cameras_program.REGISTERED).is_device_registration
     assert answering(asked.devices()) != answering(during)
 
 
@@ -146,7 +146,7 @@ def test_listing_cameras_does_not_wait_behind_a_query_that_hangs(asked, monkeypa
     with asked._turn(PATIENCE_S):
         assert asked.devices() == before.model_copy(update={"detail": LISTED_EARLIER})
         with pytest.raises(EngineProcessError, match="try again in a moment"):
-            asked.registered_calibration(two_cameras_program.REGISTERED)
+            asked.built_in_calibration(two_cameras_program.REGISTERED)
         with pytest.raises(EngineProcessError, match="try again in a moment"):
             asked.open(make_plan())
 
@@ -177,7 +177,7 @@ def hung_in_a_question(asked):
     eventually(lambda: asked.trouble is None)
     pid = asked._standby._ready.process.pid
     pool = ThreadPoolExecutor(1)
-    answer = pool.submit(asked.registered_calibration, two_cameras_program.HUNG)
+    answer = pool.submit(asked.built_in_calibration, two_cameras_program.HUNG)
     pool.shutdown(wait=False)
     eventually(lambda: asked._standby._ready is None)
     return answer, pid

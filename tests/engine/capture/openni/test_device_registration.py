@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from engine.calibration.device_registration import registered_calibration
+from engine.calibration.device_registration import built_in_calibration
 from engine.capture.openni import c_api as c, device as _openni_device
 from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.source import OpenNiSource
@@ -121,7 +121,7 @@ def test_a_device_that_cannot_register_is_refused_when_asked_to_and_used_when_no
         create_streams(use_registration=True)
     create_streams(use_registration=False)
     assert runtime.device_properties == []
-    assert registered_calibration(URI) is None
+    assert built_in_calibration(URI) is None
 
 
 @pytest.mark.parametrize(("sensor", "kind"), [(c.SENSOR_DEPTH, "depth"), (c.SENSOR_COLOR, "colour")])
@@ -133,7 +133,7 @@ def test_a_device_that_goes_on_mirroring_is_not_used(runtime, sensor, kind):
 
 
 def test_the_nominal_geometry_is_that_of_the_colour_camera(runtime):
-    calibration = registered_calibration(URI)
+    calibration = built_in_calibration(URI)
     assert calibration.camera == "device registration: PS1080"
     assert calibration.is_device_registration
     assert calibration.depth == calibration.color
@@ -150,7 +150,7 @@ def test_the_nominal_geometry_is_that_of_the_colour_camera(runtime):
 def test_a_field_of_view_that_cannot_be_is_refused(runtime, angle):
     runtime.angles[c.STREAM_VERTICAL_FOV] = angle
     with pytest.raises(CalibrationError) as refusal:
-        registered_calibration(URI)
+        built_in_calibration(URI)
     assert refusal.value.field == "vertical field of view of PS1080"
     assert not runtime.is_open
 
@@ -158,7 +158,7 @@ def test_a_field_of_view_that_cannot_be_is_refused(runtime, angle):
 def test_a_device_that_does_not_tell_its_view_is_refused(runtime):
     runtime.angles = {}
     with pytest.raises(SourceLostError, match="does not report its field of view"):
-        registered_calibration(URI)
+        built_in_calibration(URI)
     assert (runtime.destroyed, runtime.is_open) == (1, False)
 
 
@@ -170,4 +170,4 @@ def test_the_real_runtime_registers_no_recording(tmp_path):
 
 def test_the_real_runtime_sees_no_camera_of_that_name():
     with pytest.raises(SourceLostError, match="cannot be opened by OpenNI2"):
-        registered_calibration("1d27/0600@99/99")
+        built_in_calibration("1d27/0600@99/99")

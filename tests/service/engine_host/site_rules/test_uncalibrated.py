@@ -170,22 +170,22 @@ def make_plan(calibration):
 
 def test_the_engine_asks_the_camera_again_when_the_session_starts(camera):
     adapter = LocalEngine(Settings())
-    calibration = adapter.registered_calibration(None)
+    calibration = adapter.built_in_calibration(None)
     adapter._camera(None, calibration)
     adapter._camera(None, make_calibration())
     assert [one["use_registration"] for one in camera["driver"].opened] == [True, False]
     camera["angles"] = (1.1, 0.8)
-    with pytest.raises(SourceLostError, match="not the one whose registration"):
+    with pytest.raises(SourceLostError, match="not the one whose own calibration"):
         adapter._source(make_plan(calibration))
 
 
 def test_the_engine_refuses_cameras_it_cannot_use_uncalibrated(camera):
     adapter = LocalEngine(Settings())
     with pytest.raises(SourceLostError, match="no such camera"):
-        adapter.registered_calibration("elsewhere")
+        adapter.built_in_calibration("elsewhere")
     camera["angles"] = None
     with pytest.raises(InvalidValueError) as refusal:
-        adapter.registered_calibration(None)
+        adapter.built_in_calibration(None)
     assert refusal.value.field == "calibration_id"
 
 
@@ -209,10 +209,10 @@ def test_the_engine_leaves_a_running_session_s_camera_alone(camera, settings, mo
     engine = adapter.open(make_plan(make_calibration()))
     try:
         with pytest.raises(CommandRefusedError, match="a session is running"):
-            adapter.registered_calibration(None)
+            adapter.built_in_calibration(None)
     finally:
         engine.stop()
-    assert adapter.registered_calibration(None).is_device_registration
+    assert adapter.built_in_calibration(None).is_device_registration
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_the_gate_gets_whether_the_camera_was_calibrated(camera, settings, monke
 
     monkeypatch.setattr(local_engine, "EngineLoop", WatchedLoop)
     adapter = LocalEngine(settings.model_copy(update={"beam_without_calibration": may_gate}))
-    calibration = adapter.registered_calibration(None) if is_nominal else make_calibration()
+    calibration = adapter.built_in_calibration(None) if is_nominal else make_calibration()
     adapter.open(make_plan(calibration)).stop()
     assert [limits.is_calibrated for limits in taken] == [expected]
 

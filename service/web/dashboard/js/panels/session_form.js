@@ -3,6 +3,7 @@
  * calibration; everything else has the site's usual value under "More".
  */
 
+import { byId, setText } from "../drawing/elements.js";
 import { Conditions } from "./conditions.js";
 import { tr } from "../words/words.js";
 
@@ -54,7 +55,9 @@ export class SessionForm {
   }
 
   /** Offer the cameras and recordings; a camera that is found is chosen. */
-  offerSources(devices, recordings) {
+  offerSources(devices, recordings, kinds) {
+    const missing = kinds.filter((one) => !one.is_installed).map((one) => tr("session_form.sdk_missing", { label: one.label, hint: one.install_hint }));
+    setText(byId("camera-kinds"), missing.join(" · "));
     const cameras = devices.map((one) => new Option(one.name, `device:${one.uri}`));
     const files = recordings.map((one) => {
       const option = new Option(one.problem === null ? `${one.path}${length(one)}` : `${one.path}: ${one.problem}`, `recording:${one.path}`);
@@ -267,8 +270,4 @@ function wantedOf(input, bound) {
   const [least, most] = [input.min, input.max].map((one) => (one === "" || one === undefined ? NaN : Number(one)));
   if (value < least || value > most) return tr("session_form.is_between", { least, most });
   return tr("session_form.must_be", { bound });
-}
-
-function byId(id) {
-  return document.getElementById(id);
 }

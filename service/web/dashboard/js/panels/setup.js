@@ -115,9 +115,9 @@ export class Setup {
   }
 
   async #loadSources() {
-    const none = () => ({ items: [] });
+    const none = () => ({ items: [], kinds: [] });
     const [devices, recordings] = await Promise.all([listDevices().catch(none), listRecordings().catch(none)]);
-    this.fields.offerSources(devices.items, recordings.items);
+    this.fields.offerSources(devices.items, recordings.items, devices.kinds ?? []);
   }
 
   async #upload(input) {

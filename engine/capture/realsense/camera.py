@@ -1,0 +1,322 @@
+"""RealSense cameras in the camera's process: the only module that imports ``pyrealsense2``.
+
+Depth and colour are 640 x 480 at 30 frames/s. Times are the device's own, in its hardware clock: the SDK's global time,
+which is estimated from the host's and was seen to jump by years, is off, and a camera without times of its own is
+refused. The exposure of depth is found automatically in the first second and stays as it was found.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+import pyrealsense2 as rs
+
+from engine.capture.camera_process.native import DeviceClock, NativeFrame
+from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
+from engine.core.errors import SourceLostError
+from engine.core.frames import ColorImage, DepthImage, FloatArray
+from engine.core.geometry import Intrinsics, RigidTransform
+
+PREFIX = "realsense:"
+SIZE_PX = (640, 480)
+FPS = 30
+WRAP_US = 2**32
+"""The device counts microseconds with 32 bits: 71.6 minutes."""
+FIRST_FRAME_S = 5.0
+SETTLE_S = 1.0
+QUEUED = 32
+MM_PER_M = 1000.0
+DEPTH_UNIT_M = 0.001
+COLOR_NEWER = 8
+"""Colour frames that are kept to find the one nearest to a depth frame."""
+
+
+def list_cameras() -> list[ListedCamera]:
+    """List the connected cameras that have depth and colour."""
+    return [
+        ListedCamera(uri=f"{PREFIX}{serial}", vendor="Intel", name=_info(device, rs.camera_info.name) or "RealSense")
+        for device in rs.context().query_devices()
+        if (serial := _info(device, rs.camera_info.serial_number)) and len(_sensors(device)) == len(STREAMS)
+    ]
+
+
+def camera(serial: str) -> "RealSenseCamera":
+    """Return the camera with a serial number, not opened."""
+    return RealSenseCamera(serial)
+
+
+def factory_calibration(serial: str) -> FactoryCalibration:
+    """Return the calibration that a camera has from its maker; raise SourceLostError without the camera."""
+    device = _device(serial)
+    depth, color = (_profile(device, kind) for kind in STREAMS)
+    pose = depth.get_extrinsics_to(color)
+    return FactoryCalibration(
+        camera=_info(device, rs.camera_info.name) or "RealSense",
+        serial=serial,
+        depth=_intrinsics(depth.get_intrinsics()),
+        color=_intrinsics(color.get_intrinsics()),
+        color_from_depth=RigidTransform(
+            rotation=np.array(pose.rotation, dtype=float).reshape(3, 3).T,
+            translation_mm=MM_PER_M * np.array(pose.translation, dtype=float),
+        ),
+    )
+
+
+STREAMS = (rs.stream.depth, rs.stream.color)
+FORMATS = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8}
+
+
+class RealSenseCamera:
+    """See :class:`engine.capture.camera_process.native.NativeCamera`."""
+
+    def __init__(self, serial: str) -> None:
+        self._serial = serial
+        self._started: list[rs.sensor] = []
+        self._queues = {kind: rs.frame_queue(QUEUED, keep_frames=True) for kind in STREAMS}
+        self._colors: list[tuple[int, ColorImage]] = []
+        self._clock = DeviceClock(WRAP_US)
+        self._unit_mm = MM_PER_M * DEPTH_UNIT_M
+        self._device: rs.device | None = None
+
+    def open(self) -> SourceDescription:
+        """Start both streams, wait for their first frames, and fix the exposure.
+
+        Raises
+        ------
+        SourceLostError
+            No such camera; a slow USB connection; another program has it; it delivers nothing, or no times of its own.
+        """
+        device = self._device = _device(self._serial)
+        name = _info(device, rs.camera_info.name) or "RealSense"
+        usb = _info(device, rs.camera_info.usb_type_descriptor)
+        if usb and not usb.startswith("3"):
+            raise SourceLostError(f"{name} is connected by USB {usb}: it needs a USB 3 port and cable")
+        try:
+            for kind, sensor in zip(STREAMS, _sensors(device), strict=True):
+                _set_up(sensor, kind)
+                sensor.open(_profile(device, kind))
+                sensor.start(self._queues[kind])
+                self._started.append(sensor)
+        except RuntimeError as error:
+            raise SourceLostError(f"{name} cannot be started: {_words(error)}") from error
+        self._unit_mm = MM_PER_M * _option(self._started[0], rs.option.depth_units, DEPTH_UNIT_M)
+        self._await_first(name)
+        firmware = _info(device, rs.camera_info.firmware_version)
+        return SourceDescription(
+            kind="realsense",
+            name=f"{name}, firmware {firmware}" if firmware else name,
+            depth_size=SIZE_PX,
+            color_size=SIZE_PX,
+            fps=float(FPS),
+            is_live=True,
+            serial=self._serial,
+        )
+
+    def _await_first(self, name: str) -> None:
+        """Wait for a frame of each stream with times of the device, let the exposure settle, and fix it."""
+        for kind in STREAMS:
+            try:
+                frame = self._queues[kind].wait_for_frame(int(1000 * FIRST_FRAME_S))
+            except RuntimeError as error:
+                raise SourceLostError(f"{name} delivers no {kind.name} within {FIRST_FRAME_S:g} s") from error
+            if frame.get_frame_timestamp_domain() != rs.timestamp_domain.hardware_clock:
+                msg = (
+                    f"{name} delivers no times of its own: the kernel's patches or the SDK's own USB backend are needed"
+                )
+                raise SourceLostError(msg)
+        settled_s = time.monotonic() + SETTLE_S
+        depth = self._started[0]
+        while depth.supports(rs.option.enable_auto_exposure) and time.monotonic() < settled_s:
+            time.sleep(0.05)
+            self._take_colors()
+            while self._queues[rs.stream.depth].poll_for_frame():
+                pass
+        _fix_exposure(depth, name)
+
+    def read(self, timeout_s: float) -> NativeFrame | None:
+        """Return the next depth frame with the colour frame nearest to it among those that have come.
+
+        Raises
+        ------
+        SourceLostError
+            The camera was unplugged.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        queue, empty_ns = self._queues[rs.stream.depth], None
+        while not (frame := queue.poll_for_frame()):
+            empty_ns = time.monotonic_ns()
+            left_ms = int(1000 * (deadline_s - time.monotonic()))
+            if left_ms <= 0:
+                self._refuse_unplugged()
+                return None
+            is_there, frame = queue.try_wait_for_frame(left_ms)
+            if is_there:
+                break
+        received_ns = time.monotonic_ns()
+        self._take_colors()
+        timestamp_us = self._clock.unwrapped(_time_us(frame))
+        if timestamp_us is None or not self._colors:
+            return None
+        depth = np.asanyarray(frame.get_data())
+        color_us, color = min(self._colors, key=lambda one: abs(one[0] - timestamp_us))
+        return NativeFrame(
+            number=int(frame.get_frame_number()),
+            timestamp_us=timestamp_us,
+            color_timestamp_us=color_us,
+            received_ns=received_ns,
+            queue_empty_ns=empty_ns,
+            depth_mm=_in_mm(depth, self._unit_mm),
+            color=color,
+        )
+
+    def _take_colors(self) -> None:
+        while frame := self._queues[rs.stream.color].poll_for_frame():
+            timestamp_us = self._clock.unwrapped(_time_us(frame))
+            if timestamp_us is not None:
+                self._colors = [*self._colors[1 - COLOR_NEWER :], (timestamp_us, np.array(frame.get_data()))]
+
+    def _refuse_unplugged(self) -> None:
+        """Raise SourceLostError where the device is gone; its SDK only stops to deliver."""
+        if self._device is not None and not self._device.is_connected():
+            msg = "the RealSense camera was disconnected"
+            raise SourceLostError(msg)
+
+    def close(self) -> None:
+        """Stop the streams; it may hang."""
+        while self._started:
+            sensor = self._started.pop()
+            with suppress(RuntimeError):
+                sensor.stop()
+                sensor.close()
+
+
+def _device(serial: str) -> rs.device:
+    for device in rs.context().query_devices():
+        if _info(device, rs.camera_info.serial_number) == serial:
+            return device
+    raise SourceLostError(f"no RealSense camera {serial} is connected")
+
+
+def _info(device: rs.device, what: rs.camera_info) -> str:
+    return str(device.get_info(what)) if device.supports(what) else ""
+
+
+def _sensors(device: rs.device) -> list[rs.sensor]:
+    """Return the sensor of each stream, depth first; fewer where one is missing."""
+    found = dict[rs.stream, rs.sensor]()
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type() in STREAMS:
+                found.setdefault(profile.stream_type(), sensor)
+    return [found[kind] for kind in STREAMS if kind in found]
+
+
+def _profile(device: rs.device, kind: rs.stream) -> rs.video_stream_profile:
+    """Return the profile of a stream with the size, the rate and the format that are used."""
+    for sensor in _sensors(device):
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type() != kind or profile.format() != FORMATS[kind] or profile.fps() != FPS:
+                continue
+            video = profile.as_video_stream_profile()
+            if (video.width(), video.height()) == SIZE_PX:
+                return video
+    size = f"{SIZE_PX[0]} x {SIZE_PX[1]}"
+    raise SourceLostError(f"the camera has no {kind.name} of {size} at {FPS} frames/s: is it on a USB 3 port?")
+
+
+WANTED = (
+    (rs.option.global_time_enabled, 0.0),
+    (rs.option.depth_units, DEPTH_UNIT_M),
+    (rs.option.emitter_enabled, 1.0),
+    (rs.option.enable_auto_exposure, 1.0),
+    (rs.option.auto_exposure_priority, 0.0),
+)
+"""Options before the start: the device's own time, depth in mm, the projector on, no frame longer than its period."""
+
+
+def _set_up(sensor: rs.sensor, kind: rs.stream) -> None:
+    """Set the options that a sensor has, and read each back; raise SourceLostError for one that is not taken."""
+    for option, value in WANTED:
+        if sensor.supports(option) and not sensor.is_option_read_only(option):
+            _set(sensor, option, value, kind.name)
+
+
+def _set(sensor: rs.sensor, option: rs.option, value: float, what: str) -> None:
+    sensor.set_option(option, value)
+    found = sensor.get_option(option)
+    if abs(found - value) > 1e-3 * max(abs(value), 1e-3):
+        raise SourceLostError(f"{what} {option.name.replace('_', ' ')} is {found:g} although {value:g} was set")
+
+
+def _fix_exposure(sensor: rs.sensor, name: str) -> None:
+    """Let the exposure of depth stay as it is: one that follows the scene changes noise and bias while gating."""
+    if not sensor.supports(rs.option.enable_auto_exposure) or sensor.is_option_read_only(
+        rs.option.enable_auto_exposure
+    ):
+        return
+    exposure = _option(sensor, rs.option.exposure, 0.0)
+    _set(sensor, rs.option.enable_auto_exposure, 0.0, name)
+    if exposure > 0.0 and not sensor.is_option_read_only(rs.option.exposure):
+        _set(sensor, rs.option.exposure, exposure, name)
+
+
+def _option(sensor: rs.sensor, option: rs.option, default: float) -> float:
+    return float(sensor.get_option(option)) if sensor.supports(option) else default
+
+
+def _time_us(frame: rs.frame) -> int:
+    return round(1000.0 * float(frame.get_timestamp()))
+
+
+def _in_mm(depth: DepthImage, unit_mm: float) -> DepthImage:
+    """Return depth in whole millimetres; 0 stays "no reading"."""
+    if abs(unit_mm - 1.0) < 1e-4:
+        return depth
+    in_mm: DepthImage = np.minimum(np.rint(depth * unit_mm), np.iinfo(np.uint16).max).astype(np.uint16)
+    return in_mm
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__
+
+
+GRID = 24
+
+
+def _intrinsics(given: rs.intrinsics) -> Intrinsics:
+    """Return OpenCV's parameters of a camera; other models of its lens than OpenCV's are fitted by least squares."""
+    size, lens = {"width": given.width, "height": given.height}, (given.fx, given.fy, given.ppx, given.ppy)
+    plain = {**size, **dict(zip(("fx", "fy", "cx", "cy"), lens, strict=True))}
+    if not any(given.coeffs):
+        return Intrinsics(**plain)
+    if given.model == rs.distortion.brown_conrady:
+        return Intrinsics(**plain, distortion=_five(given.coeffs))
+    pixels, rays = _seen(given)
+    x, y = rays.T
+    away = (pixels - lens[2:]) / lens[:2] - rays
+    squared = x**2 + y**2
+    first, second, third = (np.concatenate([x * squared**power, y * squared**power]) for power in (1, 2, 3))
+    along = np.concatenate([2.0 * x * y, squared + 2.0 * y**2])
+    across = np.concatenate([squared + 2.0 * x**2, 2.0 * x * y])
+    terms = np.column_stack([first, second, along, across, third])
+    found = np.linalg.lstsq(terms, away.T.ravel(), rcond=None)[0]
+    return Intrinsics(**plain, distortion=_five(found))
+
+
+def _five(values: Sequence[float]) -> tuple[float, float, float, float, float]:
+    k1, k2, p1, p2, k3 = (float(one) for one in values)
+    return k1, k2, p1, p2, k3
+
+
+def _seen(given: rs.intrinsics) -> tuple[FloatArray, FloatArray]:
+    """Return pixels of the whole picture, and the ray that each sees at depth 1, by the SDK's own formulas."""
+    columns, rows = np.meshgrid(np.linspace(0, given.width - 1, GRID), np.linspace(0, given.height - 1, GRID))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    if given.model == rs.distortion.inverse_brown_conrady:
+        rays = [rs.rs2_deproject_pixel_to_point(given, pixel, 1.0)[:2] for pixel in pixels.tolist()]
+        return pixels, np.array(rays)
+    # The SDK has no inverse of the other models: pixels of rays in place of rays of pixels.
+    rays = (pixels - (given.ppx, given.ppy)) / (given.fx, given.fy)
+    pixels = np.array([rs.rs2_project_point_to_pixel(given, [*ray, 1.0]) for ray in rays.tolist()])
+    return pixels, rays

@@ -1,0 +1,216 @@
+"""RealSense cameras: librealsense's software device, in the camera's process, as the product's own source meets it."""
+
+import os
+import time
+from contextlib import suppress
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from engine.calibration.device_registration import built_in_calibration
+from engine.capture.drivers import list_cameras, listed_address, open_camera
+from engine.core.clock import MonotonicClock
+from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
+from tests.support.realsense.camera import SERIAL, URI, cable, environment
+from tests.support.waiting import eventually
+
+pytestmark = pytest.mark.alone
+
+
+@pytest.fixture
+def seen(camera, monkeypatch):
+    """Let this process see the virtual camera as a RealSense with these faults; returns what does so."""
+
+    def see(**faults):
+        for name, value in environment(camera, **faults).items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.delenv("OPENNI2_REDIST", raising=False)
+        return open_camera(URI, clock=MonotonicClock())
+
+    return see
+
+
+def frames(source, count):
+    found = []
+    while len(found) < count:
+        found.append(source.read(5.0))
+    return found
+
+
+def until_silent(source):
+    while True:
+        source.read(0.5)
+
+
+def until_lost(source):
+    while True:
+        with suppress(FrameTimeoutError):
+            source.read(0.5)
+
+
+def test_it_is_listed_by_its_serial_number(seen):
+    seen()
+    (one,) = list_cameras("realsense:")
+    assert (one.uri, one.name) == (URI, "Virtual D435")
+    assert listed_address(None, "realsense:") == URI
+
+
+def test_frames_are_the_films_in_mm_with_the_devices_times_and_numbers(camera, seen):
+    source = seen()
+    described = source.open()
+    try:
+        assert (described.kind, described.serial, described.is_live) == ("realsense", SERIAL, True)
+        assert described.name == "Virtual D435, firmware 5.16.0.1"
+        found = frames(source, 20)
+    finally:
+        source.close()
+    assert [one.index for one in found] == list(range(20))
+    for one, two in pairwise(found):
+        assert two.device_index == one.device_index + 1 + two.missed_frames
+        assert two.timestamp_us - one.timestamp_us == pytest.approx(33_367 * (1 + two.missed_frames), abs=200)
+        assert one.received_ns < two.received_ns
+    films = [camera.film.pictures(i)[0] for i in range(camera.film.frames)]
+    assert all(any(np.array_equal(one.depth_mm, film) for film in films) for one in found[:3])
+    assert found[0].color.shape == (480, 640, 3)
+    away = [one.color_timestamp_us - one.timestamp_us for one in found]
+    assert max(map(abs, away)) < 40_000, away
+
+
+def test_a_camera_with_a_finer_unit_gives_mm(seen):
+    source = seen(unit_m=0.0001)
+    source.open()
+    try:
+        (frame,) = frames(source, 1)
+    finally:
+        source.close()
+    known = frame.depth_mm[frame.depth_mm > 0]
+    assert 700 < np.median(known) < 1300
+
+
+def test_a_clock_that_wraps_at_2_to_the_32_us_goes_on(seen):
+    source = seen(clock_us=2**32 - 61_500_000)  # its clock shows a minute when it is opened
+    source.open()
+    try:
+        found = frames(source, 90)
+    finally:
+        source.close()
+    times = [one.timestamp_us for one in found]
+    assert times[0] < 2**32 < times[-1]
+    steps = [two - one for one, two in pairwise(times)]
+    assert min(steps) > 20_000, steps
+    assert max(steps) < 150_000, steps
+    away = [one.color_timestamp_us - one.timestamp_us for one in found]
+    assert max(map(abs, away)) < 40_000, away
+
+
+REFUSED = {
+    "a slow connection": ({"usb": "2.1"}, "USB 2.1: it needs a USB 3 port"),
+    "another program": ({"busy": True}, "Device or resource busy"),
+    "no times of its own": ({"domain": "system_time"}, "delivers no times of its own"),
+    "the SDK's global time": ({"domain": "global_time"}, "delivers no times of its own"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_measured_with_is_refused_with_its_cause(seen, name):
+    faults, words = REFUSED[name]
+    source = seen(**faults)
+    with pytest.raises(SourceLostError, match=words):
+        source.open()
+    assert source.is_free
+
+
+def test_another_serial_number_is_not_opened(seen, monkeypatch):
+    seen(serial="999")
+    with pytest.raises(SourceLostError, match=f"no RealSense camera {SERIAL}"):
+        open_camera(URI, clock=MonotonicClock()).open()
+
+
+def test_a_stop_that_hangs_does_not_hang_the_engine(seen):
+    source = seen(hangs="stop")
+    source.open()
+    frames(source, 3)
+    before_s = time.monotonic()
+    source.close()
+    assert time.monotonic() - before_s < 10.0
+    assert source.is_free
+
+
+def test_a_process_that_is_killed_is_a_lost_camera(seen):
+    source = seen()
+    source.open()
+    frames(source, 2)
+    os.kill(source.process_id, 9)
+    with pytest.raises(SourceLostError, match="signal 9"):
+        frames(source, 100)
+    source.close()
+    source.open()
+    frames(source, 2)
+    source.close()
+
+
+def test_an_sdk_that_does_not_answer_is_reported(seen, monkeypatch):
+    seen(hangs="query")
+    monkeypatch.setattr("engine.capture.camera_process.source.LIST_S", 2.0)
+    with pytest.raises(RuntimeMissingError, match="does not answer"):
+        list_cameras("realsense:")
+
+
+def test_lost_frames_are_counted_and_silence_is_silence(camera, seen):
+    source = seen()
+    source.open()
+    try:
+        frames(source, 3)
+        camera.skip(5)
+        found = frames(source, 15)
+        assert sum(one.missed_frames for one in found) >= 5
+        receipt = camera.stall()
+        with pytest.raises(FrameTimeoutError):
+            until_silent(source)
+        camera.undo(receipt)
+        frames(source, 3)
+    finally:
+        source.close()
+
+
+def test_an_unplugged_camera_is_lost_and_is_found_again(camera, seen):
+    source = seen()
+    source.open()
+    frames(source, 3)
+    cable(camera).unlink()
+    with pytest.raises(SourceLostError, match="disconnected"):
+        until_lost(source)
+    assert list_cameras("realsense:") == []
+    source.close()
+    cable(camera).touch()
+    eventually(lambda: list_cameras("realsense:") != [], detail=lambda: "it does not come back")
+
+
+def test_frames_that_are_not_taken_are_counted_and_the_newest_are_kept_in_order(seen):
+    source = seen()
+    source.open()
+    try:
+        frames(source, 2)
+        time.sleep(1.5)  # more than the ring holds
+        found = frames(source, 60)
+    finally:
+        source.close()
+    numbers = [one.device_index for one in found]
+    assert numbers == sorted(numbers)
+    assert max(one.missed_frames for one in found) > 10
+    for one, two in pairwise(found):
+        assert two.device_index - one.device_index == 1 + two.missed_frames
+
+
+def test_the_makers_calibration_is_the_cameras(camera, seen):
+    seen()
+    found = built_in_calibration(URI)
+    wanted = camera.film.calibration
+    assert (found.camera, found.serial, found.is_built_in) == ("device calibration: Virtual D435", SERIAL, True)
+    assert not found.is_device_registration
+    for name in ("depth", "color"):
+        ours, theirs = getattr(found, name), getattr(wanted, name)
+        assert np.allclose(ours.constants, theirs.constants, rtol=1e-5, atol=1e-5)
+    assert np.allclose(found.color_from_depth.rotation, wanted.color_from_depth.rotation, atol=1e-6)
+    assert np.allclose(found.color_from_depth.translation_mm, wanted.color_from_depth.translation_mm, atol=1e-3)
