@@ -45,7 +45,10 @@ def phantom(
     ] = False,
     sensor: Annotated[
         str,
-        typer.Option(help="Model of the sensor's errors: usual, or locking, whose errors follow the sub-pixel phase."),
+        typer.Option(
+            help="Model of the sensor's errors: usual (structured-light), locking, whose errors follow the sub-pixel "
+            "phase, active-stereo or time-of-flight."
+        ),
     ] = USUAL,
     falsify: Annotated[
         str | None,

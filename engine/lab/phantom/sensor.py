@@ -15,6 +15,13 @@ locking*: the matching of structured light prefers certain sub-pixel positions, 
 error is fixed to the pixel. Its period is one pixel of disparity, 8 steps; the matching window makes it smooth over 9
 px. Over the depth range of a breath it is a wrong local gain, the same in every breath.
 
+Two further models are of other kinds of sensors, each figure with its source in `KINDS_OF_ERROR`:
+
+``active-stereo`` matches two infrared pictures 50 mm apart. Its unit is disparity, ``f B / z``, in steps of 1/32 px;
+the noise follows the local texture, and edges are fattened by half the matching window: near surfaces grow.
+``time-of-flight`` measures range. Its noise grows with the square of the range, differs with the texture and is nearly
+white in space; a periodic error swings with the range; at edges near and far are mixed.
+
 Holes are pixels without a reading: shadows of the projector, steep and shiny surfaces, the picture's rim, dark objects.
 They are not sharp: near their edges readings flicker from frame to frame. `Holes.level` is, for each pixel, the level
 that a standard normal draw must exceed for a reading: -inf always reads, +inf never.
@@ -146,7 +153,19 @@ class SensorModel:
     locking_shifts
         Root mean square over the pixels of the amplitude of the error that varies with the sub-pixel phase.
     is_stepped
-        Whether readings are whole shifts; whole millimetres they are in any case.
+        Whether readings are whole steps of the sensor's unit; whole millimetres they are in any case.
+    focal_baseline_mm
+        Focal length times baseline [px mm] of a stereo camera, whose unit is 1/32 px of disparity; 0 for the others.
+    range_noise_mm
+        Standard deviation of the noise of a time-of-flight camera at 1 m on white cloth [mm]; 0 for the others.
+    texture
+        How much the noise differs from place to place: standard deviation of its logarithm.
+    fatten_px
+        How far a near surface covers the far one behind its edge [px].
+    mixed_px
+        Width over which near and far are mixed at an edge [px].
+    periodic_mm, period_mm
+        Amplitude and period of the error that swings with the range [mm].
     """
 
     noise_shifts: float
@@ -155,7 +174,19 @@ class SensorModel:
     pattern_blur_px: float
     locking_shifts: float = field(default=0.0)
     is_stepped: bool = True
+    focal_baseline_mm: float = 0.0
+    range_noise_mm: float = 0.0
+    texture: float = 0.0
+    fatten_px: int = 0
+    mixed_px: int = 0
+    periodic_mm: float = 0.0
+    period_mm: float = 0.0
 
+
+USUAL = "usual"
+STRUCTURED_LIGHT = "structured-light"
+DISPARITY_STEPS = 32
+"""Steps of a D4xx in one pixel of disparity."""
 
 SENSORS = {
     "usual": SensorModel(
@@ -172,10 +203,43 @@ SENSORS = {
         pattern_blur_px=3.0,
         locking_shifts=0.166,
     ),
+    # D435 at 640 x 480: f = 383 px, baseline 50 mm. At 0.85 m 0.05 px of noise are 1.9 mm, 0.04 px that stay 1.5 mm.
+    "active-stereo": SensorModel(
+        noise_shifts=0.05 * DISPARITY_STEPS,
+        noise_parts=((0.15, 0.0), (0.5, 1.6), (0.35, 3.0)),
+        pattern_shifts=0.04 * DISPARITY_STEPS,
+        pattern_blur_px=3.0,
+        focal_baseline_mm=383.0 * 50.0,
+        texture=0.35,
+        fatten_px=3,
+    ),
+    # Femto Bolt and Azure Kinect, narrow field of view: about 1 mm at 1 m, systematic errors of 1 to 2 mm.
+    "time-of-flight": SensorModel(
+        noise_shifts=0.0,
+        noise_parts=((0.8, 0.0), (0.2, 1.1)),
+        pattern_shifts=0.4,
+        pattern_blur_px=6.0,
+        is_stepped=False,
+        range_noise_mm=1.1,
+        texture=0.4,
+        mixed_px=3,
+        periodic_mm=0.6,
+        period_mm=300.0,
+    ),
 }
 """Sensor models by name."""
+SENSORS[STRUCTURED_LIGHT] = SENSORS[USUAL]
 
-USUAL = "usual"
+BENCHED = (USUAL, "locking")
+"""The models of the article's sensor, on which every bench runs; the others where they are asked for."""
+
+KINDS_OF_ERROR = {
+    "active-stereo": "sub-pixel noise 0.05 to 0.1 px, steps of 1/32 px: Intel's notes on tuning, and Keselman 2017; "
+    "noise with the texture, and edges that fatten: Giancola 2018",
+    "time-of-flight": "noise, mixed pixels and error with range: PMC7827245 (Azure Kinect, whose sensor and modes a "
+    "Femto Bolt has); periodic error: Foix 2011",
+}
+"""Where the figures of the models that were not fitted to recordings come from."""
 
 
 LEAST_NOISE_SHIFTS = 0.1
@@ -271,6 +335,8 @@ class Sensor:
         pattern = blur(rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), self._model.pattern_blur_px)
         self._pattern = (pattern * (self._model.pattern_shifts / pattern.std()) + _FAR_SHIFT).astype(np.float32)
         self._locking = _locking_fields((seed, 7), self._model.locking_shifts)
+        texture = blur(np.random.default_rng((seed, 8)).standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), 8.0)
+        self._texture = np.exp(texture * np.float32(self._model.texture / texture.std()))
 
     def read(
         self, depth_mm: Map, holes: Holes, *, frame: int, time_s: float, blocked: BoolArray | None = None
@@ -292,8 +358,42 @@ class Sensor:
         """
         rng = np.random.default_rng((self._seed, 4, frame))
         scale, offset = self._unit.reading_scale(time_s)
-        shift = depth_mm * np.float32(scale)
-        shift += np.float32(offset)
+        seen_mm = depth_mm * np.float32(scale)
+        seen_mm += np.float32(offset)
+        reading = self._read_otherwise(seen_mm, rng) if self._is_other else self._read_shifts(seen_mm, holes, rng)
+        missing = self._draw(rng) < holes.level
+        if blocked is not None:
+            missing |= blocked
+        reading[missing] = 0
+        return reading
+
+    @property
+    def _is_other(self) -> bool:
+        return self._model.focal_baseline_mm > 0.0 or self._model.range_noise_mm > 0.0
+
+    def _read_otherwise(self, seen_mm: Map, rng: np.random.Generator) -> DepthImage:
+        """Return readings of a stereo or a time-of-flight camera, without holes [mm]; ``seen_mm`` is overwritten."""
+        model = self._model
+        if model.fatten_px:
+            seen_mm = _fattened(seen_mm, model.fatten_px)
+        if model.mixed_px:
+            seen_mm = _mixed(seen_mm, model.mixed_px)
+        noise = self._draw(rng) * self._texture
+        pattern = self._pattern - np.float32(_FAR_SHIFT)
+        if model.range_noise_mm > 0.0:
+            amplitude_mm = np.float32(model.range_noise_mm * 1e-6) * np.square(seen_mm)
+            seen_mm += np.float32(model.periodic_mm) * np.sin(seen_mm * np.float32(2.0 * np.pi / model.period_mm))
+            seen_mm += pattern + noise * amplitude_mm
+            return np.where(seen_mm <= FARTHEST_MM, np.rint(seen_mm), 0.0).astype(np.uint16)
+        steps = np.float32(DISPARITY_STEPS * model.focal_baseline_mm) / seen_mm
+        steps += pattern + noise * np.float32(model.noise_shifts)
+        if model.is_stepped:
+            np.rint(steps, out=steps)
+        depth_mm = np.rint(np.float32(DISPARITY_STEPS * model.focal_baseline_mm) / np.maximum(steps, 1.0))
+        return np.where(depth_mm <= FARTHEST_MM, depth_mm, 0.0).astype(np.uint16)
+
+    def _read_shifts(self, shift: Map, holes: Holes, rng: np.random.Generator) -> DepthImage:
+        """Return readings of structured light, without holes [mm]; ``shift``, the depth seen [mm], is overwritten."""
         np.divide(np.float32(-STEPS_A_MM), shift, out=shift)
         shift += self._pattern
         if self._locking is not None:
@@ -301,12 +401,7 @@ class Sensor:
             shift += self._locking[0] * np.cos(phase) + self._locking[1] * np.sin(phase)
         shift += self._draw(rng) * np.float32(self._model.noise_shifts)
         self._jump(shift, holes, rng)
-        reading = self._readings(shift)
-        missing = self._draw(rng) < holes.level
-        if blocked is not None:
-            missing |= blocked
-        reading[missing] = 0
-        return reading
+        return self._readings(shift)
 
     def _readings(self, shift: Map) -> DepthImage:
         """Depth of each shift [mm]; ``shift`` is overwritten."""
@@ -334,6 +429,24 @@ class Sensor:
         sizes = rng.uniform(9.0, 18.0, 4 * count) * rng.choice(np.array([-1.0, 1.0]), 4 * count)
         for row, column, size in zip(rows[keep], columns[keep], sizes[keep], strict=True):
             shift[row : row + JUMP_PX, column : column + JUMP_PX] += np.float32(size)
+
+
+_STEP_MM = 25.0
+"""Two surfaces this far apart are two, with an edge between."""
+
+
+def _fattened(depth_mm: Map, reach_px: int) -> Map:
+    """Let near surfaces cover what lies behind their edges."""
+    side = 2 * reach_px + 1
+    nearest = cv2.erode(depth_mm, np.ones((side, side), np.uint8))
+    return np.where(depth_mm - nearest > _STEP_MM, nearest, depth_mm)
+
+
+def _mixed(depth_mm: Map, width_px: int) -> Map:
+    """Mix near and far at edges."""
+    kernel = np.ones((width_px, width_px), np.uint8)
+    is_edge = cv2.dilate(depth_mm, kernel) - cv2.erode(depth_mm, kernel) > _STEP_MM
+    return np.where(is_edge, cv2.blur(depth_mm, (width_px, width_px)), depth_mm)
 
 
 def _locking_fields(seed: tuple[int, int], locking_shifts: float) -> tuple[Map, Map] | None:

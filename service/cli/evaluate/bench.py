@@ -48,6 +48,13 @@ def bench(
     is_accuracy: Annotated[
         bool, typer.Option("--accuracy", help="Only the recordings of both sensors that are measured whole.")
     ] = False,
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="With --accuracy: only this sensor; usual, locking, active-stereo or time-of-flight.",
+            show_default=False,
+        ),
+    ] = "",
     jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
     seconds: Annotated[float, typer.Option(help="Length of each of the fifteen datasets [s].")] = 32.0,
     seed: Annotated[
@@ -75,8 +82,10 @@ def bench(
         cluster = scheduler_options(scheduler, tls_ca, tls_cert, tls_key)
         if cluster is not None and jobs is not None:
             raise InvalidValueError("jobs", jobs, "left out with --scheduler: its workers are counted there")
-        plan_name = _plan_name(is_quick=is_quick, is_accuracy=is_accuracy)
-        marks = _bench(out, work or out / "work", plan_name, jobs=jobs, seconds=seconds, seed=seed, cluster=cluster)
+        plan_name = _plan_name(sensor, is_quick=is_quick, is_accuracy=is_accuracy)
+        marks = _bench(
+            out, work or out / "work", plan_name, jobs=jobs, seconds=seconds, seed=seed, sensor=sensor, cluster=cluster
+        )
     except KeyboardInterrupt as stopped:
         say("tidegate evaluate: stopped; complete parts are kept, and the same command continues from there", "yellow")
         raise typer.Exit(STOPPED) from stopped
@@ -89,7 +98,9 @@ def bench(
         raise typer.Exit(1)
 
 
-def _plan_name(*, is_quick: bool, is_accuracy: bool) -> str:
+def _plan_name(sensor: str, *, is_quick: bool, is_accuracy: bool) -> str:
+    if sensor and not is_accuracy:
+        raise InvalidValueError("sensor", sensor, "left out without --accuracy")
     if is_quick and is_accuracy:
         raise InvalidValueError("accuracy", "true", "left out with --quick")
     return "quick" if is_quick else "accuracy" if is_accuracy else "full"
@@ -103,6 +114,7 @@ def _bench(
     jobs: int | None,
     seconds: float,
     seed: int,
+    sensor: str,
     cluster: SchedulerOptions | None,
 ) -> "list[Mark]":
     from engine.lab.evaluation.report.report import write_report
@@ -115,9 +127,10 @@ def _bench(
     for folder, field in ((out, "out"), (work, "work")):
         if folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
-    plan = {"quick": quick_plan, "accuracy": accuracy_plan, "full": full_plan}[plan_name](seed, seconds)
+    makers = {"quick": quick_plan, "accuracy": partial(accuracy_plan, sensor=sensor), "full": full_plan}
+    plan = makers[plan_name](seed, seconds)
     scored = _with_bar(plan, work, workers, cluster)
-    chosen = "" if plan_name == "full" else f" --{plan_name}"
+    chosen = ("" if plan_name == "full" else f" --{plan_name}") + (f" --sensor {sensor}" if sensor else "")
     command = "tidegate evaluate --out OUT" + chosen + _changed(seconds, seed)
     tables, marks = write_report(
         scored,

@@ -85,7 +85,7 @@ def _judged(
     """Run the chosen cases on each sensor; raise InvalidValueError naming the field that is out of bounds."""
     from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, jobs_of, run_all
     from engine.lab.evaluation.integrity.cases import cases
-    from engine.lab.phantom.sensor import SENSORS, find_sensor
+    from engine.lab.phantom.sensor import BENCHED, find_sensor
 
     check_plan(volunteers, seed, jobs)
     for name in sensors:
@@ -94,7 +94,7 @@ def _judged(
     if not chosen:
         raise InvalidValueError("kind", ", ".join(kinds), "a part of the name of a case, such as sheet")
     tables = []
-    for name in dict.fromkeys(sensors or SENSORS):
+    for name in dict.fromkeys(sensors or BENCHED):
         with frame_bar() as bar:
             task = bar.add_task(f"recordings, sensor {name}", total=jobs_of(chosen, volunteers))
             count = partial(_count, bar, task)

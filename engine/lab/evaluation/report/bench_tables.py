@@ -62,7 +62,7 @@ def accuracy(scored: list[ScoredRun]) -> Table:
     ]
     return Table(
         name="accuracy",
-        title="Accuracy on both sensors: mean error of cells of 10 px [mm]",
+        title="Accuracy by sensor: mean error of cells of 10 px [mm]",
         columns=(
             "sensor, breathing, recording",
             "plain, live",

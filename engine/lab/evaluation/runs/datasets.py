@@ -8,7 +8,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from engine.core.files import write_whole
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.falsifications import Falsification, Move
 from engine.lab.phantom.recording import make_volunteer
-from engine.lab.phantom.sensor import USUAL
+from engine.lab.phantom.sensor import BENCHED, USUAL, find_sensor
 
 SCHEMA = "tidegate.bench/1"
 SEED = 2017
@@ -160,9 +160,16 @@ def quick_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
     return [run for run in _table2(seed, seconds, long=()) if run.name in {"D01", "D06", "D10"}]
 
 
-def accuracy_plan(seed: int = SEED, seconds: float = SECONDS) -> list[Run]:
-    """Return the runs that are measured whole: each kind of breathing, on both sensors; the longest first."""
-    return [run for run in full_plan(seed, seconds) if run.is_measured_whole]
+def accuracy_plan(seed: int = SEED, seconds: float = SECONDS, sensor: str = "") -> list[Run]:
+    """Return the runs that are measured whole: each kind of breathing, on both sensors; the longest first.
+
+    With a ``sensor`` of another kind, those of the second sensor, recorded by that one.
+    """
+    if sensor and sensor not in BENCHED:
+        find_sensor(sensor)
+        return [replace(run, name=f"{run.name}-{sensor}", sensor=sensor) for run in _second_sensor(seed)]
+    plan = [run for run in full_plan(seed, seconds) if run.is_measured_whole]
+    return [run for run in plan if sensor in {"", run.sensor}]
 
 
 def check_plan(seed: int, seconds: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from engine.lab.evaluation.runs.scores import Score, ScoredRun
 from engine.lab.evaluation.table import Table
-from engine.lab.phantom.sensor import SENSORS, USUAL
+from engine.lab.phantom.sensor import BENCHED, USUAL
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,17 +74,32 @@ WHOLE_MM = {
 def reach(scored: list[ScoredRun]) -> list[Mark]:
     """Compare the scores with every target that has recordings."""
     usual = [one for one in scored if one.run.sensor == USUAL]
-    return [mark for mark in (*_whole_marks(scored), *_live_marks(usual)) if mark.recordings]
+    return [mark for mark in (*_whole_marks(scored), *_stereo_marks(scored), *_live_marks(usual)) if mark.recordings]
 
 
 def _whole_marks(scored: list[ScoredRun]) -> list[Mark]:
     marks = []
-    for sensor in SENSORS:
+    for sensor in BENCHED:
         for group, (bound, left) in WHOLE_MM.items():
             ran = [one for one in _in(scored, group) if one.run.sensor == sensor and one.run.is_measured_whole]
             name = f"Recording measured whole, sensor {sensor}, {_NAMES[group]}"
             marks.append(_mark(f"{name} [mm]", bound, ran, lambda s: s.cells_mm, of=_offline))
             marks.append(_mark(f"{name}, constants out [mm]", left, ran, lambda s: s.constants_out_mm, of=_offline))
+    return marks
+
+
+STEREO = "active-stereo"
+STEREO_MM = (0.20, 0.06)
+"""Required on active stereo at 0.85 m: mean error of the cells, and of the whole region."""
+
+
+def _stereo_marks(scored: list[ScoredRun]) -> list[Mark]:
+    marks = []
+    for group in ("table2", "irregular"):
+        ran = [one for one in _in(scored, group) if one.run.sensor == STEREO and one.run.is_measured_whole]
+        name = f"Recording measured whole, sensor {STEREO}, {_NAMES[group]}"
+        marks.append(_mark(f"{name} [mm]", STEREO_MM[0], ran, lambda s: s.cells_mm, of=_offline))
+        marks.append(_mark(f"{name}, whole region [mm]", STEREO_MM[1], ran, lambda s: s.whole_mm, of=_offline))
     return marks
 
 

@@ -70,9 +70,10 @@ def test_the_usual_sensor_has_no_error_that_depends_on_the_phase():
 
 
 def test_an_unknown_sensor_is_refused():
-    with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking"):
+    with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking, active-stereo"):
         find_sensor("lidar")
-    assert set(SENSORS) == {"usual", "locking"}
+    assert set(SENSORS) == {"usual", "locking", "active-stereo", "time-of-flight", "structured-light"}
+    assert find_sensor("structured-light") is find_sensor("usual")
 
 
 def test_an_error_that_is_left_out_is_gone_and_all_of_them_leave_whole_millimetres():
@@ -96,3 +97,56 @@ def test_an_error_that_is_left_out_is_gone_and_all_of_them_leave_whole_millimetr
 def test_an_unknown_sensor_or_error_is_refused(name):
     with pytest.raises(InvalidValueError, match="sensor"):
         find_sensor(name)
+
+
+# -- sensors of other kinds ------------------------------------------------------------------------------------------
+
+
+def spread_mm(name, depth_mm, frames=12):
+    """Standard deviation over time of a level plane, median over the pixels [mm]."""
+    sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 3, name)
+    plane = np.full((HEIGHT_PX, WIDTH_PX), depth_mm, dtype=np.float32)
+    read = [sensor.read(plane, NO_HOLES, frame=i, time_s=TIME_S).astype(float) for i in range(frames)]
+    return float(np.median(np.std(read, axis=0, ddof=1)))
+
+
+def test_the_noise_of_stereo_grows_with_the_square_of_the_distance():
+    near_mm, far_mm = spread_mm("active-stereo", 700.0), spread_mm("active-stereo", 1400.0)
+    # 0.05 px of 383 px x 50 mm, and the rounding to steps and millimetres.
+    assert near_mm == pytest.approx(0.05 * 700.0**2 / (383.0 * 50.0), rel=0.2)
+    assert far_mm == pytest.approx(0.05 * 1400.0**2 / (383.0 * 50.0), rel=0.2)
+
+
+def test_stereo_reads_thirty_seconds_of_a_pixel():
+    sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 3, "active-stereo without pattern")
+    plane = 1000.0 + np.linspace(-30.0, 30.0, WIDTH_PX, dtype=np.float32) * np.ones((HEIGHT_PX, 1), np.float32)
+    levels = np.unique(sensor.read(plane, NO_HOLES, frame=0, time_s=TIME_S))
+    steps = 32.0 * 383.0 * 50.0 / levels
+    assert np.abs(steps - np.rint(steps)).max() < 0.5 * 32.0 * 383.0 * 50.0 / levels.min() ** 2 + 1e-6
+    assert np.median(np.diff(levels)) == pytest.approx(1000.0**2 / (32.0 * 383.0 * 50.0), abs=0.5)
+
+
+def test_edges_are_fattened_by_stereo_and_mixed_by_time_of_flight():
+    scene = np.full((HEIGHT_PX, WIDTH_PX), 1200.0, dtype=np.float32)
+    scene[:, 300:] = 800.0
+    row = HEIGHT_PX // 2
+
+    def read(name):
+        return Sensor(Unit(scale=1.0, offset_mm=0.0), 3, name).read(scene, NO_HOLES, frame=0, time_s=TIME_S)[row]
+
+    assert np.all(np.abs(read("active-stereo")[297:300] - 800.0) < 20.0)
+    assert abs(read("active-stereo")[290] - 1200.0) < 40.0
+    mixed = read("time-of-flight")[299:301]
+    assert np.all((mixed > 850.0) & (mixed < 1150.0))
+
+
+def test_the_error_of_time_of_flight_swings_with_the_range():
+    sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 3, "time-of-flight without pattern")
+    ranges = np.arange(700.0, 1300.0, 25.0)
+    errors = [
+        float(sensor.read(np.full((HEIGHT_PX, WIDTH_PX), mm, np.float32), NO_HOLES, frame=0, time_s=TIME_S).mean()) - mm
+        for mm in ranges
+    ]
+    wanted = 0.6 * np.sin(2.0 * np.pi * ranges / 300.0)
+    assert np.corrcoef(errors, wanted)[0, 1] > 0.98
+    assert np.ptp(errors) == pytest.approx(1.2, abs=0.15)

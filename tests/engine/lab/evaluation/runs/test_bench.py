@@ -20,7 +20,7 @@ from engine.lab.evaluation.runs.datasets import (
 )
 from engine.lab.evaluation.runs.marks import WHOLE_MM
 from engine.lab.evaluation.runs.scores import score_run
-from engine.lab.phantom.sensor import SENSORS, USUAL
+from engine.lab.phantom.sensor import BENCHED, USUAL
 from tests.support.evaluation.small_bench import SETTINGS, files_under, small_run, tiny_run
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
@@ -197,7 +197,7 @@ def test_the_fifteen_datasets_are_of_the_ten_volunteers_as_in_table_1():
 
 def test_both_sensors_record_each_kind_of_breathing_to_be_measured_whole():
     whole = [run for run in full_plan() if run.is_measured_whole]
-    for sensor in SENSORS:
+    for sensor in BENCHED:
         assert {run.group for run in whole if run.sensor == sensor} == set(WHOLE_MM)
 
 
@@ -226,7 +226,7 @@ def test_a_plan_out_of_bounds_is_refused_by_name(field, seed, seconds):
 
 def test_the_couch_goes_down_under_a_patient_who_shifts_on_both_sensors():
     lowered = [run for run in full_plan() if run.is_lowered]
-    assert {run.sensor for run in lowered} == set(SENSORS)
+    assert {run.sensor for run in lowered} == set(BENCHED)
     for run in lowered:
         assert run.scenario == "shift"
         assert run.falsification.floor_stays
