@@ -23,10 +23,11 @@ $(CLIENT_STAMP): tests/client_generator.lock $(STAMP)
 	$(CLIENT_VENV)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r tests/client_generator.lock
 	@touch $(CLIENT_STAMP)
 
-$(STAMP): requirements-dev.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
+$(STAMP): requirements-dev.lock requirements-orbbec.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-orbbec.lock
 	PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -c 'from engine.core.compiled import frame_path; print("Frame path:", frame_path())'
 	@touch $(STAMP)

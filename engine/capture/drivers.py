@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.capture.openni.driver import OpenNiDriver
-from engine.capture.realsense.driver import RealSenseDriver
+from engine.capture.orbbec.driver import ORBBEC
+from engine.capture.realsense.driver import REALSENSE
 from engine.capture.source import CameraDriver, FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
 from engine.core.errors import RuntimeMissingError, SourceLostError
 
-CAMERAS: tuple[CameraDriver, ...] = (RealSenseDriver(), OpenNiDriver())
+CAMERAS: tuple[CameraDriver, ...] = (REALSENSE, ORBBEC, OpenNiDriver())
 """Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
 
 

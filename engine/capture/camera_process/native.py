@@ -8,6 +8,8 @@ not advance and a picture that comes again are delivered, for the gate to judge.
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from engine.capture.source import SourceDescription
 from engine.core.frames import ColorImage, DepthImage
 
@@ -66,3 +68,14 @@ class DeviceClock:
         last_us = reading_us if self._last_us is None else self._last_us
         self._last_us = reading_us + self._period_us * round((last_us - reading_us) / self._period_us)
         return self._last_us
+
+
+def in_mm(depth: DepthImage, unit_mm: float) -> DepthImage:
+    """Return depth in whole millimetres; 0 stays "no reading"."""
+    if abs(unit_mm - 1.0) < UNIT_TOLERANCE:
+        return depth
+    whole_mm: DepthImage = np.minimum(np.rint(depth * unit_mm), np.iinfo(np.uint16).max).astype(np.uint16)
+    return whole_mm
+
+
+UNIT_TOLERANCE = 1e-4

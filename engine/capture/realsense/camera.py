@@ -6,16 +6,16 @@ refused. The exposure of depth is found automatically in the first second and st
 """
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
 import pyrealsense2 as rs
 
-from engine.capture.camera_process.native import DeviceClock, NativeFrame
+from engine.capture.camera_process.lens import fitted, grid_px, with_distortion
+from engine.capture.camera_process.native import DeviceClock, NativeFrame, in_mm
+from engine.capture.camera_process.pairing import RecentColors
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceLostError
-from engine.core.frames import ColorImage, DepthImage, FloatArray
 from engine.core.geometry import Intrinsics, RigidTransform
 
 PREFIX = "realsense:"
@@ -28,8 +28,6 @@ SETTLE_S = 1.0
 QUEUED = 32
 MM_PER_M = 1000.0
 DEPTH_UNIT_M = 0.001
-COLOR_NEWER = 8
-"""Colour frames that are kept to find the one nearest to a depth frame."""
 
 
 def list_cameras() -> list[ListedCamera]:
@@ -74,7 +72,7 @@ class RealSenseCamera:
         self._serial = serial
         self._started: list[rs.sensor] = []
         self._queues = {kind: rs.frame_queue(QUEUED, keep_frames=True) for kind in STREAMS}
-        self._colors: list[tuple[int, ColorImage]] = []
+        self._colors = RecentColors()
         self._clock = DeviceClock(WRAP_US)
         self._unit_mm = MM_PER_M * DEPTH_UNIT_M
         self._device: rs.device | None = None
@@ -156,25 +154,24 @@ class RealSenseCamera:
         received_ns = time.monotonic_ns()
         self._take_colors()
         timestamp_us = self._clock.unwrapped(_time_us(frame))
-        if timestamp_us is None or not self._colors:
+        color = None if timestamp_us is None else self._colors.nearest(timestamp_us)
+        if timestamp_us is None or color is None:
             return None
-        depth = np.asanyarray(frame.get_data())
-        color_us, color = min(self._colors, key=lambda one: abs(one[0] - timestamp_us))
         return NativeFrame(
             number=int(frame.get_frame_number()),
             timestamp_us=timestamp_us,
-            color_timestamp_us=color_us,
+            color_timestamp_us=color[0],
             received_ns=received_ns,
             queue_empty_ns=empty_ns,
-            depth_mm=_in_mm(depth, self._unit_mm),
-            color=color,
+            depth_mm=in_mm(np.asanyarray(frame.get_data()), self._unit_mm),
+            color=color[1],
         )
 
     def _take_colors(self) -> None:
         while frame := self._queues[rs.stream.color].poll_for_frame():
             timestamp_us = self._clock.unwrapped(_time_us(frame))
             if timestamp_us is not None:
-                self._colors = [*self._colors[1 - COLOR_NEWER :], (timestamp_us, np.array(frame.get_data()))]
+                self._colors.add(timestamp_us, np.array(frame.get_data()))
 
     def _refuse_unplugged(self) -> None:
         """Raise SourceLostError where the device is gone; its SDK only stops to deliver."""
@@ -269,54 +266,22 @@ def _time_us(frame: rs.frame) -> int:
     return round(1000.0 * float(frame.get_timestamp()))
 
 
-def _in_mm(depth: DepthImage, unit_mm: float) -> DepthImage:
-    """Return depth in whole millimetres; 0 stays "no reading"."""
-    if abs(unit_mm - 1.0) < 1e-4:
-        return depth
-    in_mm: DepthImage = np.minimum(np.rint(depth * unit_mm), np.iinfo(np.uint16).max).astype(np.uint16)
-    return in_mm
-
-
 def _words(error: Exception) -> str:
     return " ".join(str(error).split())[:300] or type(error).__name__
 
 
-GRID = 24
-
-
 def _intrinsics(given: rs.intrinsics) -> Intrinsics:
-    """Return OpenCV's parameters of a camera; other models of its lens than OpenCV's are fitted by least squares."""
-    size, lens = {"width": given.width, "height": given.height}, (given.fx, given.fy, given.ppx, given.ppy)
-    plain = {**size, **dict(zip(("fx", "fy", "cx", "cy"), lens, strict=True))}
+    """Return OpenCV's parameters of a camera; other models of its lens than OpenCV's are fitted."""
+    plain = Intrinsics(width=given.width, height=given.height, fx=given.fx, fy=given.fy, cx=given.ppx, cy=given.ppy)
     if not any(given.coeffs):
-        return Intrinsics(**plain)
+        return plain
     if given.model == rs.distortion.brown_conrady:
-        return Intrinsics(**plain, distortion=_five(given.coeffs))
-    pixels, rays = _seen(given)
-    x, y = rays.T
-    away = (pixels - lens[2:]) / lens[:2] - rays
-    squared = x**2 + y**2
-    first, second, third = (np.concatenate([x * squared**power, y * squared**power]) for power in (1, 2, 3))
-    along = np.concatenate([2.0 * x * y, squared + 2.0 * y**2])
-    across = np.concatenate([squared + 2.0 * x**2, 2.0 * x * y])
-    terms = np.column_stack([first, second, along, across, third])
-    found = np.linalg.lstsq(terms, away.T.ravel(), rcond=None)[0]
-    return Intrinsics(**plain, distortion=_five(found))
-
-
-def _five(values: Sequence[float]) -> tuple[float, float, float, float, float]:
-    k1, k2, p1, p2, k3 = (float(one) for one in values)
-    return k1, k2, p1, p2, k3
-
-
-def _seen(given: rs.intrinsics) -> tuple[FloatArray, FloatArray]:
-    """Return pixels of the whole picture, and the ray that each sees at depth 1, by the SDK's own formulas."""
-    columns, rows = np.meshgrid(np.linspace(0, given.width - 1, GRID), np.linspace(0, given.height - 1, GRID))
-    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+        return with_distortion(plain, given.coeffs)
+    pixels = grid_px(plain)
     if given.model == rs.distortion.inverse_brown_conrady:
         rays = [rs.rs2_deproject_pixel_to_point(given, pixel, 1.0)[:2] for pixel in pixels.tolist()]
-        return pixels, np.array(rays)
+        return fitted(plain, pixels, np.array(rays))
     # The SDK has no inverse of the other models: pixels of rays in place of rays of pixels.
     rays = (pixels - (given.ppx, given.ppy)) / (given.fx, given.fy)
-    pixels = np.array([rs.rs2_project_point_to_pixel(given, [*ray, 1.0]) for ray in rays.tolist()])
-    return pixels, rays
+    seen = [rs.rs2_project_point_to_pixel(given, [*ray, 1.0]) for ray in rays.tolist()]
+    return fitted(plain, np.array(seen), rays)

@@ -127,8 +127,10 @@ def _bench(
     for folder, field in ((out, "out"), (work, "work")):
         if folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
-    makers = {"quick": quick_plan, "accuracy": partial(accuracy_plan, sensor=sensor), "full": full_plan}
-    plan = makers[plan_name](seed, seconds)
+    if plan_name == "accuracy":
+        plan = accuracy_plan(seed, seconds, sensor)
+    else:
+        plan = {"quick": quick_plan, "full": full_plan}[plan_name](seed, seconds)
     scored = _with_bar(plan, work, workers, cluster)
     chosen = ("" if plan_name == "full" else f" --{plan_name}") + (f" --sensor {sensor}" if sensor else "")
     command = "tidegate evaluate --out OUT" + chosen + _changed(seconds, seed)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from engine.lab.evaluation.runs.datasets import fingerprint
 from engine.lab.evaluation.runs.trial import MEASURING_SOURCES
-from engine.lab.phantom.sensor import SENSORS
+from engine.lab.phantom.sensor import BENCHED
 from tests.support.generated_sections import part_of, write_parts
 from tests.support.repository import ROOT
 
@@ -99,9 +99,9 @@ class _Case(NamedTuple):
 
 def integrity(report: Path, commit: str) -> str:
     """Return the part: how many falsifications meet the targets, and those that do not."""
-    found = {sensor: _cases(report / f"integrity_{sensor}.csv") for sensor in SENSORS}
-    names = list(found[next(iter(SENSORS))])
-    missed = [name for name in names if any(found[sensor][name].misses for sensor in SENSORS)]
+    found = {sensor: _cases(report / f"integrity_{sensor}.csv") for sensor in BENCHED}
+    names = list(found[next(iter(BENCHED))])
+    missed = [name for name in names if any(found[sensor][name].misses for sensor in BENCHED)]
     outside_s = max(case.on_outside_s for cases in found.values() for case in cases.values())
     said = (
         f"`tidegate evaluate integrity --slow` printed at commit {commit}, code `{code_of('integrity')}`: of "
@@ -110,14 +110,14 @@ def integrity(report: Path, commit: str) -> str:
         f"{outside_s:.2f} s. The others: frames measured [%]; longest time with an error above 1 mm [s]; largest "
         "error [mm]; named after [s]."
     )
-    head = ["falsification", *(part for sensor in SENSORS for part in (sensor, "misses"))]
-    rows = [[", ".join(name), *(cell for sensor in SENSORS for cell in found[sensor][name].cells)] for name in missed]
+    head = ["falsification", *(part for sensor in BENCHED for part in (sensor, "misses"))]
+    rows = [[", ".join(name), *(cell for sensor in BENCHED for cell in found[sensor][name].cells)] for name in missed]
     return "\n".join([said, "", *_table(head, rows)])
 
 
 def hazards(report: Path, commit: str) -> str:
     """Return the part: for each hazard that has falsifications, how many meet the targets on each sensor."""
-    found = {sensor: list(_cases(report / f"integrity_{sensor}.csv").values()) for sensor in SENSORS}
+    found = {sensor: list(_cases(report / f"integrity_{sensor}.csv").values()) for sensor in BENCHED}
     names = sorted({case.hazard for cases in found.values() for case in cases if case.hazard})
     said = (
         f"`tidegate evaluate integrity --slow` printed at commit {commit}, code `{code_of('integrity')}`: of the "
@@ -132,7 +132,7 @@ def hazards(report: Path, commit: str) -> str:
             longest_s, outside_s = max(float(case.longest_s) for case in of), max(case.on_outside_s for case in of)
             cells.append(f"{sum(not case.misses for case in of)} of {len(of)}; {longest_s:.2f}; {outside_s:.2f}")
         rows.append(cells)
-    return "\n".join([said, "", *_table(["hazard", *SENSORS], rows)])
+    return "\n".join([said, "", *_table(["hazard", *BENCHED], rows)])
 
 
 def _cases(path: Path) -> dict[tuple[str, str], _Case]:
