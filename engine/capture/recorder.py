@@ -1,4 +1,4 @@
-"""Record a camera, or a file played in real time, with its SDK's own recorder.
+"""Record a camera, or a file played in real time, with its SDK's own recorder, or with ours where it has none.
 
 The recording has a temporary name until it is complete: the SDK writes its seek tables and frame counts last, and a
 file without them is cut. It also starts each stream's time at zero, so the offset between depth and colour, up to a

@@ -1,7 +1,7 @@
 """A camera looked at before it is used: rates, losses, clock, noise and drift of a still scene.
 
-The scene is a flat surface that nothing moves on, such as the bare couch, in the middle of the picture. What only a real
-camera can show is found here; `tidegate devices check` prints it, and its file is what to send with a report.
+The scene is a flat surface that nothing moves on, such as the bare couch, in the middle of the picture. What only a
+real camera can show is found here; `tidegate devices check` prints it, and its file is what to send with a report.
 """
 
 from collections.abc import Iterator
@@ -93,35 +93,70 @@ class DeviceCheck:
         steps_s = np.diff(times_s)
         due = self.described.fps
         rate = (self.frames - 1 + self._missed) / max(times_s[-1], 1e-6)
-        yield DeviceFinding(code="rate", title="frames a second, less the nominal", value=rate - due, unit="1/s", warn=0.5, fail=1.5)
+        yield DeviceFinding(
+            code="rate", title="frames a second, less the nominal", value=rate - due, unit="1/s", warn=0.5, fail=1.5
+        )
         lost = 100.0 * self._missed / (self.frames + self._missed)
         yield DeviceFinding(code="missed", title="frames that never came", value=lost, unit="%", warn=0.1, fail=1.0)
-        yield DeviceFinding(code="gap", title="longest gap", value=1000.0 * float(steps_s.max()), unit="ms", warn=70.0, fail=100.0)
+        yield DeviceFinding(
+            code="gap", title="longest gap", value=1000.0 * float(steps_s.max()), unit="ms", warn=70.0, fail=100.0
+        )
         back = float((steps_s <= 0.0).sum())
         yield DeviceFinding(code="back", title="steps of the clock that do not go on", value=back, unit="", fail=0.0)
         slope, offset_s = np.polyfit(times_s, host_s, 1)
         late_ms = 1000.0 * (host_s - slope * times_s - offset_s)
         late_ms -= late_ms.min()
-        yield DeviceFinding(code="clock", title="clock against the host's", value=1e6 * (slope - 1.0), unit="ppm", warn=200.0, fail=1000.0)
-        yield DeviceFinding(code="jitter", title="arrival beyond the promptest, 99 %", value=float(np.percentile(late_ms, 99.0)), unit="ms", warn=15.0, fail=50.0)
+        yield DeviceFinding(
+            code="clock",
+            title="clock against the host's",
+            value=1e6 * (slope - 1.0),
+            unit="ppm",
+            warn=200.0,
+            fail=1000.0,
+        )
+        yield DeviceFinding(
+            code="jitter",
+            title="arrival beyond the promptest, 99 %",
+            value=float(np.percentile(late_ms, 99.0)),
+            unit="ms",
+            warn=15.0,
+            fail=50.0,
+        )
         lag_ms = float(np.median(self._color_lag_us)) / 1000.0
-        yield DeviceFinding(code="colour", title="colour after depth, median", value=lag_ms, unit="ms", warn=34.0, fail=100.0)
-        yield DeviceFinding(code="repeated", title="pictures that came again", value=float(self._repeated), unit="", fail=0.0)
+        yield DeviceFinding(
+            code="colour", title="colour after depth, median", value=lag_ms, unit="ms", warn=34.0, fail=100.0
+        )
+        yield DeviceFinding(
+            code="repeated", title="pictures that came again", value=float(self._repeated), unit="", fail=0.0
+        )
 
     def _picture(self) -> Iterator[DeviceFinding]:
         depth_mm, times_s = np.array(self._depth_mm), np.array(self._times_us) / US_PER_S
-        yield DeviceFinding(code="distance", title="distance of the surface", value=float(np.nanmedian(depth_mm)), unit="mm")
+        yield DeviceFinding(
+            code="distance", title="distance of the surface", value=float(np.nanmedian(depth_mm)), unit="mm"
+        )
         unread = 100.0 * (1.0 - float(np.mean(self._read_share)))
         yield DeviceFinding(code="holes", title="pixels without a reading", value=unread, unit="%", warn=5.0, fail=30.0)
         for side in SQUARES_PX:
             # The median of absolute differences of two frames, as a standard deviation of one.
-            noise_mm = float(np.median(self._steps[side])) / (0.6745 * np.sqrt(2.0)) if self._steps[side] else float("nan")
+            noise_mm = (
+                float(np.median(self._steps[side])) / (0.6745 * np.sqrt(2.0)) if self._steps[side] else float("nan")
+            )
             bounds = {1: (4.0, 8.0), 16: (0.8, 1.6)}.get(side, (None, None))
             title = f"noise of squares of {side} px" if side > 1 else "noise of a pixel"
-            yield DeviceFinding(code=f"noise_{side}", title=title, value=noise_mm, unit="mm", warn=bounds[0], fail=bounds[1])
+            yield DeviceFinding(
+                code=f"noise_{side}", title=title, value=noise_mm, unit="mm", warn=bounds[0], fail=bounds[1]
+            )
         first, last = depth_mm[times_s < times_s[0] + SPAN_S], depth_mm[times_s > times_s[-1] - SPAN_S]
         drift_mm = float(np.nanmean(last) - np.nanmean(first))
-        yield DeviceFinding(code="drift", title="last seconds less the first ones: warm-up", value=drift_mm, unit="mm", warn=0.5, fail=2.0)
+        yield DeviceFinding(
+            code="drift",
+            title="last seconds less the first ones: warm-up",
+            value=drift_mm,
+            unit="mm",
+            warn=0.5,
+            fail=2.0,
+        )
 
 
 def _middle(frame: RgbdFrame) -> FloatArray:

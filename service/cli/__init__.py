@@ -24,6 +24,9 @@ COMMANDS = {
     "measure": Command("measure.command", "Measure the breathing motion in every frame of one or more recordings."),
     "phantom": Command("phantom", "Generate a recording of a virtual volunteer, with its calibration and true motion."),
     "info": Command("recordings", "Print what an .oni recording contains and check it for damage."),
+    "devices": Command(
+        "devices", "List the cameras, write a camera's own calibration, check a camera before it is used."
+    ),
     "record": Command("recordings", "Record depth and colour from a camera to an .oni file."),
     "openapi": Command("openapi", "Write the OpenAPI document and the schemas of the live stream."),
     "demo": Command("demo.command", "Run a gated session on a virtual volunteer and compare it with the true motion."),

@@ -1,4 +1,4 @@
-"""``tidegate devices``: the cameras that are connected, a camera's own calibration, and a camera looked at before use."""
+"""``tidegate devices``: the connected cameras, a camera's own calibration, and a camera looked at before its use."""
 
 import json
 import sys
@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from engine.core.errors import FrameTimeoutError, SourceLostError, TidegateError
+from service.cli.command_group import command_group
 from service.cli.terminal import refused
 
 if TYPE_CHECKING:
@@ -21,13 +22,16 @@ if TYPE_CHECKING:
 
 READ_S = 1.0
 REPLUG_S = 120.0
-app = typer.Typer(no_args_is_help=True, help="Cameras: list them, read their own calibration, check one before it is used.")
+devices = command_group(
+    "devices", "List the cameras, write a camera's own calibration, check a camera before it is used."
+)
 Address = Annotated[
-    str | None, typer.Option("--source", help="Address of a camera, as `tidegate devices list` prints it; the first one.")
+    str | None,
+    typer.Option("--source", help="Address of a camera, as `tidegate devices list` prints it; the first one."),
 ]
 
 
-@app.command("list")
+@devices.command("list")
 def list_devices() -> None:
     """Print every kind of cameras with what is missing, and the connected cameras."""
     from engine.capture import drivers
@@ -47,7 +51,7 @@ def list_devices() -> None:
     console.print(cameras if found else drivers.none_text())
 
 
-@app.command()
+@devices.command()
 def calibration(
     out: Annotated[Path, typer.Option("--out", help="The calibration file to write.", show_default=False)],
     source: Address = None,
@@ -68,11 +72,13 @@ def calibration(
     sys.stdout.write(f"{found.camera}, serial {found.serial or 'unknown'}: written to {out}\n")
 
 
-@app.command()
+@devices.command()
 def check(
     source: Address = None,
     seconds: Annotated[float, typer.Option(help="How long to look [s].", min=5.0, max=7200.0)] = 60.0,
-    out: Annotated[Path | None, typer.Option("--out", help="File for the figures, as JSON, to send with a report.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File for the figures, as JSON, to send with a report.")
+    ] = None,
     *,
     is_replugged: Annotated[
         bool, typer.Option("--replug", help="Ask to pull the cable and plug it in again, and time the return.")
@@ -80,8 +86,8 @@ def check(
 ) -> None:
     """Look at a still, flat surface and judge rates, losses, clock, noise and drift.
 
-    Point the camera at the bare couch, let it run for half an hour to see its warm-up (--seconds 1800). Exit code 1 when a
-    figure fails.
+    Point the camera at the bare couch; let it run for half an hour to see its warm-up (--seconds 1800). Exit code 1
+    when a figure fails.
     """
     from engine.capture import drivers
     from engine.core.clock import MonotonicClock
@@ -171,7 +177,9 @@ def _document(checked: "DeviceCheck", findings: "list[DeviceFinding]", opened_s:
 
 def _print(checked: "DeviceCheck", findings: "list[DeviceFinding]", away_s: float | None) -> None:
     described = checked.described
-    table = Table(title=f"{described.name}, serial {described.serial or 'unknown'}", title_justify="left", show_edge=False)
+    table = Table(
+        title=f"{described.name}, serial {described.serial or 'unknown'}", title_justify="left", show_edge=False
+    )
     for name in ("figure", "value", "warns at", "fails at", ""):
         table.add_column(name, justify="left" if name in {"figure", ""} else "right")
     for one in findings:

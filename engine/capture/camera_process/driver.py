@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.capture.camera_process.recorded import RecordedSource
 from engine.capture.camera_process.source import ProcessSource, factory_calibration, is_sdk_installed, listed
 from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
@@ -44,10 +45,10 @@ class ProcessDriver:
         self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
     ) -> LiveSource:
         """Return a camera, not opened; the first one where no address is given."""
-        if use_registration or record_to is not None:
-            what = "registers depth to colour" if use_registration else "writes .oni files"
-            raise SourceLostError(f"{self.label} {what} not by itself")
-        return ProcessSource(self.module, self._serial(uri), clock=clock)
+        if use_registration:
+            raise SourceLostError(f"{self.label} does not register depth to colour itself")
+        source = ProcessSource(self.module, self._serial(uri), clock=clock)
+        return source if record_to is None else RecordedSource(source, record_to)
 
     def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource | None:  # noqa: ARG002
         """Return None: the SDK plays no ``.oni`` file."""

@@ -28,7 +28,7 @@ from engine.capture.oni.reader import missed_between
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.clock import Clock
 from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
-from engine.core.frames import RgbdFrame, frozen
+from engine.core.frames import ColorImage, RgbdFrame, frozen
 from engine.core.geometry import Intrinsics, RigidTransform
 
 MODULE = "engine.capture.camera_process"
@@ -108,6 +108,7 @@ class ProcessSource:
         self._ring: Ring | None = None
         self._taken = self._index = 0
         self._last: tuple[int, int] | None = None
+        self._color: tuple[int, ColorImage] | None = None
         self._period_us = US_PER_S / 30.0
 
     @property
@@ -174,7 +175,7 @@ class ProcessSource:
         finally:
             os.close(file)
         self._taken = self._index = 0
-        self._last = None
+        self._last = self._color = None
         self._period_us = US_PER_S / max(described.fps, 1.0)
         return described
 
@@ -196,7 +197,12 @@ class ProcessSource:
         if not (0 <= depth_us <= LATEST_US and 0 <= color_us <= LATEST_US and 0 <= slot < SLOTS):
             msg = "the camera's process delivered an impossible frame"
             raise SourceLostError(msg)
-        depth, color = (frozen(np.array(one)) for one in self._ring.pictures(slot))
+        pictures = self._ring.pictures(slot)
+        depth = frozen(np.array(pictures[0]))
+        # A colour frame that several depth frames are paired with is one array, copied once.
+        if self._color is None or self._color[0] != color_us:
+            self._color = color_us, frozen(np.array(pictures[1]))
+        color = self._color[1]
         self._taken += 1
         self._ring.taken = self._taken
         now = depth_us, number
