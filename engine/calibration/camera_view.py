@@ -17,17 +17,15 @@ NEAREST_MM, FARTHEST_MM = 600.0, 1200.0
 MAX_TILT_DEG = 15.0
 MIN_COVERAGE = 0.9
 DARKEST, BRIGHTEST, MAX_SATURATED = 0.1, 0.85, 0.05
-WARM_UP_S = 900.0
-"""A live camera's readings drift while it warms up (AAPM TG-147)."""
 _CHANNEL_LIMIT = 250
 _TRIMMED_SHARE = 0.75
 
 
 class CameraViewMeter:
-    """Describes frames of one camera; for the engine's thread."""
+    """Describes frames of one camera, whose readings drift for ``warm_up_s``; for the engine's thread."""
 
-    def __init__(self, depth: Intrinsics, *, is_live: bool) -> None:
-        self._depth, self._is_live = depth, is_live
+    def __init__(self, depth: Intrinsics, *, warm_up_s: float) -> None:
+        self._depth, self._warm_up_s = depth, warm_up_s
         self._first_ns: int | None = None
         self._next_ns = 0
         self._newest: CameraView | None = None
@@ -39,13 +37,13 @@ class CameraViewMeter:
         if self._newest is None or frame.received_ns >= self._next_ns:
             self._next_ns = frame.received_ns + PERIOD_NS
             self._newest = camera_view(
-                frame, self._depth, running_s=(frame.received_ns - self._first_ns) / 1e9, is_live=self._is_live
+                frame, self._depth, running_s=(frame.received_ns - self._first_ns) / 1e9, warm_up_s=self._warm_up_s
             )
         return self._newest
 
 
-def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, is_live: bool) -> CameraView:
-    """Describe the middle of a frame; ``is_live`` is False for a recording, which has no warm-up."""
+def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, warm_up_s: float) -> CameraView:
+    """Describe the middle of a frame; ``warm_up_s`` is the camera's kind's, 0 for a recording [s]."""
     points_mm, coverage = _points(frame.depth_mm, depth)
     distance_mm = float(np.median(points_mm[:, 2])) if len(points_mm) else math.nan
     color = frame.color[_middle(frame.color.shape)]
@@ -58,7 +56,7 @@ def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, is_liv
         CameraAdvice.GAPS: coverage < MIN_COVERAGE,
         CameraAdvice.TOO_DARK: brightness < DARKEST,
         CameraAdvice.TOO_BRIGHT: brightness > BRIGHTEST or saturated > MAX_SATURATED,
-        CameraAdvice.WARMING_UP: is_live and running_s < WARM_UP_S,
+        CameraAdvice.WARMING_UP: running_s < warm_up_s,
     }
     return CameraView(
         distance_mm=distance_mm,

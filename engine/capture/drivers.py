@@ -8,7 +8,7 @@ from engine.capture.orbbec.driver import ORBBEC
 from engine.capture.realsense.driver import REALSENSE
 from engine.capture.source import CameraDriver, FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
-from engine.core.errors import RuntimeMissingError, SourceLostError
+from engine.core.errors import RecordingError, RuntimeMissingError, SourceLostError
 
 CAMERAS: tuple[CameraDriver, ...] = (REALSENSE, ORBBEC, OpenNiDriver())
 """Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
@@ -100,6 +100,11 @@ def registered_view(uri: str) -> RegisteredView | None:
     return _driver_of(uri).registered_view(uri)
 
 
+def warm_up_s(uri: str | None) -> float:
+    """Return how long readings of a camera drift after its start [s], by its kind."""
+    return _driver_of(uri).warm_up_s
+
+
 def factory_calibration(uri: str) -> FactoryCalibration | None:
     """Return a camera's own calibration; see :meth:`engine.capture.source.CameraDriver.factory_calibration`."""
     return _driver_of(uri).factory_calibration(uri)
@@ -139,6 +144,9 @@ def recording_source(source: str | Path | None, *, clock: Clock, record_to: Path
     RuntimeMissingError
         No SDK here can.
     """
+    made = None if source is None else maker_recording(Path(source))
+    if made is not None:
+        return _driver_of(made).camera(made, clock=clock, record_to=record_to)
     if source is None or not Path(source).is_file():
         return _driver_of(None if source is None else str(source)).camera(
             None if source is None else str(source), clock=clock, record_to=record_to
@@ -148,6 +156,36 @@ def recording_source(source: str | Path | None, *, clock: Clock, record_to: Path
     if player is None:
         raise RuntimeMissingError(missing_text())
     return player
+
+
+FILE = "file:"
+"""What stands between a driver's prefix and the path of a recording of its maker, in place of a serial number."""
+MAKERS = {b"/device_0/sensor_": REALSENSE, b"/cam/sensor_": ORBBEC}
+"""What recordings of a maker's SDK hold: the names of their topics."""
+SUFFIXES = (".bag", ".db3")
+ENDS_BYTES = 1 << 22
+
+
+def maker_recording(path: Path) -> str | None:
+    """Return the address of a recording that a maker's SDK has made; None for another kind of file, or none.
+
+    Raises
+    ------
+    RecordingError, RuntimeMissingError
+        It is of neither maker, or its SDK is not on this machine.
+    """
+    if path.suffix not in SUFFIXES or not path.is_file():
+        return None
+    with path.open("rb") as file:
+        ends = file.read(ENDS_BYTES)
+        file.seek(max(path.stat().st_size - ENDS_BYTES, 0))
+        ends += file.read(ENDS_BYTES)
+    found = [driver for mark, driver in MAKERS.items() if mark in ends]
+    if not found:
+        raise RecordingError(f"{path} is a recording of neither RealSense's nor Orbbec's SDK")
+    if not found[0].is_installed():
+        raise RuntimeMissingError(f"{found[0].label} is missing: {found[0].install_hint}")
+    return f"{found[0].prefix}{FILE}{path.absolute()}"
 
 
 def _available() -> list[CameraDriver]:

@@ -100,6 +100,10 @@ class CameraDriver(Protocol):
         """The SDK's name in messages, such as "the OpenNI2 runtime"."""
 
     @property
+    def warm_up_s(self) -> float:
+        """How long readings of its cameras drift after their start [s]."""
+
+    @property
     def is_player(self) -> bool:
         """Whether the SDK plays recordings in real time, where it is installed."""
 

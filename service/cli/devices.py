@@ -56,13 +56,17 @@ def calibration(
     out: Annotated[Path, typer.Option("--out", help="The calibration file to write.", show_default=False)],
     source: Address = None,
 ) -> None:
-    """Write the calibration that a camera brings itself, by its maker or by its registration."""
+    """Write the calibration that a camera brings itself, by its maker or by its registration.
+
+    The source may also be a recording of a maker's SDK (.bag, .db3).
+    """
     from engine.calibration import built_in_calibration
     from engine.capture import drivers
     from engine.core.files import write_whole
 
     try:
-        found = built_in_calibration(drivers.listed_address(source))
+        made = None if source is None else drivers.maker_recording(Path(source))
+        found = built_in_calibration(made or drivers.listed_address(source))
         if found is None:
             msg = "this camera neither registers depth to colour itself nor has a calibration of its maker"
             raise SourceLostError(msg)

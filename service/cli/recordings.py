@@ -54,7 +54,10 @@ def record(
     ] = 60.0,
     source: Annotated[
         str | None,
-        typer.Option("--source", help="Address of a device, or an .oni file; the first device by default."),
+        typer.Option(
+            "--source",
+            help="Address of a device, an .oni file, or a .bag or .db3 of a maker's SDK; the first device by default.",
+        ),
     ] = None,
 ) -> None:
     """Record depth and colour from a camera to an .oni file.

@@ -124,7 +124,7 @@ class LocalEngine:
             learner=pipeline.learner,
             beam=beam,
             beam_on=lambda: beam_on_state(beam),
-            camera_view=_camera_meter(plan).look,
+            camera_view=_camera_meter(plan, self._settings.camera_uri).look,
             limits=limits,
             clock=self._clock,
             tap=tape.tap,
@@ -206,9 +206,11 @@ def _built_in(uri: str | None, pinned: str) -> Calibration:
     return calibration
 
 
-def _camera_meter(plan: SessionPlan) -> CameraViewMeter:
+def _camera_meter(plan: SessionPlan, pinned: str) -> CameraViewMeter:
     """Return what describes how the camera of a session looks."""
-    return CameraViewMeter(plan.calibration.depth, is_live=isinstance(plan.source, sessions.DeviceSource))
+    source = plan.source
+    warm_up_s = drivers.warm_up_s(source.uri or pinned) if isinstance(source, sessions.DeviceSource) else 0.0
+    return CameraViewMeter(plan.calibration.depth, warm_up_s=warm_up_s)
 
 
 class LoopEngine:

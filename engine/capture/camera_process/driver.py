@@ -18,6 +18,8 @@ class ProcessDriver:
     ----------
     label, install_hint
         See :class:`engine.capture.source.CameraDriver`.
+    warm_up_s
+        How long readings of its cameras drift after their start [s].
     package
         The SDK's package, which `module` alone imports, in the camera's process.
     """
@@ -27,6 +29,7 @@ class ProcessDriver:
     install_hint: str
     package: str
     module: str
+    warm_up_s: float
     is_player: bool = False
 
     def is_installed(self) -> bool:

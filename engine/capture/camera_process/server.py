@@ -17,6 +17,7 @@ import socket
 import struct
 import sys
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Protocol, cast
@@ -26,7 +27,7 @@ import numpy.typing as npt
 
 from engine.capture.camera_process.native import NativeCamera, NativeFrame
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
-from engine.core.errors import TidegateError
+from engine.core.errors import SourceEndedError, TidegateError
 from engine.core.native_process import keep_calls_in_their_thread
 
 SLOTS = 16
@@ -38,6 +39,7 @@ FRAME_MARK, TEXT_MARK = b"FRAM", b"TEXT"
 MAX_MESSAGE = 4096
 UNKNOWN_NS = -1
 READ_S = 0.2
+WAIT_S = 0.005
 
 
 class SdkModule(Protocol):
@@ -102,6 +104,8 @@ def main(arguments: list[str]) -> int:
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):
         try:
             _stream(channel, module.camera(arguments[3]))
+        except SourceEndedError as error:
+            _say(channel, {"ended": str(error)})
         except TidegateError as error:
             _say(channel, {"failed": str(error)})
         except Exception as error:  # noqa: BLE001 - an SDK raises anything; the engine is told, and opens it anew
@@ -163,6 +167,8 @@ def _deliver(channel: socket.socket, camera: NativeCamera, ring: Ring, described
         frame = camera.read(READ_S)
         if frame is None:
             continue
+        while sent - ring.taken >= SLOTS and not described.is_live and not _is_closed(channel):
+            time.sleep(WAIT_S)  # a recording waits for its reader, a camera does not
         if sent - ring.taken >= SLOTS or not _is_whole(frame, described):
             dropped += 1
             continue

@@ -27,7 +27,7 @@ from engine.capture.camera_process.server import (
 from engine.capture.oni.reader import missed_between
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.clock import Clock
-from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
+from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceEndedError, SourceLostError
 from engine.core.frames import ColorImage, RgbdFrame, frozen
 from engine.core.geometry import Intrinsics, RigidTransform
 
@@ -128,7 +128,7 @@ class ProcessSource:
         Raises
         ------
         SourceLostError
-            The camera cannot be opened; the message has the SDK's reason.
+            The camera, or the recording, cannot be opened; the message has the SDK's reason.
         """
         self.close()
         ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -192,7 +192,10 @@ class ProcessSource:
         except OSError as error:
             raise SourceLostError(self._cause()) from error
         if message[:4] != FRAME_MARK or len(message) != FRAME.size:
-            raise SourceLostError(str(self._said(message).get("failed", self._cause())))
+            said = self._said(message)
+            if "ended" in said:
+                raise SourceEndedError(str(said["ended"]))
+            raise SourceLostError(str(said.get("failed", self._cause())))
         _, number, depth_us, color_us, received_ns, empty_ns, dropped, slot = FRAME.unpack(message)
         if not (0 <= depth_us <= LATEST_US and 0 <= color_us <= LATEST_US and 0 <= slot < SLOTS):
             msg = "the camera's process delivered an impossible frame"

@@ -17,6 +17,8 @@ class OpenNiDriver:
     prefix = ""
     label = "the OpenNI2 runtime"
     is_player = True
+    # AAPM TG-147 for cameras of structured light.
+    warm_up_s = 900.0
     install_hint = "apt-get install libopenni2-0"
 
     def is_installed(self) -> bool:

@@ -23,11 +23,13 @@ from engine.capture.camera_process.lens import fitted, grid_px, with_distortion
 from engine.capture.camera_process.native import DeviceClock, NativeFrame, in_mm
 from engine.capture.camera_process.pairing import RecentColors
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
-from engine.core.errors import SourceLostError
+from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.frames import ColorImage, DepthImage
 from engine.core.geometry import Intrinsics, RigidTransform
 
 PREFIX = "orbbec:"
+FILE = "file:"
+"""What stands before the path of a recording, in place of a serial number."""
 SIZE_PX = (640, 480)
 FPS = 30
 LONGEST_US = 2**53
@@ -66,7 +68,7 @@ def factory_calibration(serial: str) -> FactoryCalibration:
     pose = depth.get_extrinsic_to(color)
     return FactoryCalibration(
         camera=device.get_device_info().get_name(),
-        serial=serial,
+        serial=device.get_device_info().get_serial_number(),
         depth=_intrinsics(depth),
         color=_intrinsics(color),
         color_from_depth=RigidTransform(
@@ -96,6 +98,9 @@ class OrbbecCamera:
         self._queues: tuple[queue.Queue[_Received], ...] = (queue.Queue(QUEUED), queue.Queue(QUEUED))
         self._colors = RecentColors()
         self._clock = DeviceClock(LONGEST_US)
+        self._is_file = serial.startswith(FILE)
+        self._device: ob.Device | None = None
+        self._first: _Received | None = None
 
     def open(self) -> SourceDescription:
         """Start both streams, wait for their first frames, and fix the exposure.
@@ -106,9 +111,10 @@ class OrbbecCamera:
             No such camera; a slow USB connection; another program has it; it delivers nothing, or no times.
         """
         self._context, device = _device(self._serial)
+        self._device = device
         info = device.get_device_info()
         name, connection = info.get_name(), info.get_connection_type()
-        if connection.startswith("USB") and not connection.startswith("USB3"):
+        if connection.startswith("USB") and not connection.startswith("USB3") and not self._is_file:
             raise SourceLostError(f"{name} is connected by {connection}: it needs a USB 3 port and cable")
         try:
             profiles = [_profile(device, stream) for stream in (DEPTH, COLOR)]
@@ -119,15 +125,16 @@ class OrbbecCamera:
         except ob.OBError as error:
             raise SourceLostError(f"{name} cannot be started: {' '.join(str(error).split())[:300]}") from error
         self._await_first(name)
-        _fix_exposure(device, name)
+        if not self._is_file:
+            _fix_exposure(device, name)
         return SourceDescription(
             kind="orbbec",
             name=f"{name}, firmware {info.get_firmware_version()}",
             depth_size=(profiles[DEPTH].get_width(), profiles[DEPTH].get_height()),
             color_size=(profiles[COLOR].get_width(), profiles[COLOR].get_height()),
             fps=float(profiles[DEPTH].get_fps()),
-            is_live=True,
-            serial=self._serial,
+            is_live=not self._is_file,
+            serial=info.get_serial_number(),
         )
 
     def _receive(self, stream: int, frame: ob.Frame) -> None:
@@ -141,6 +148,10 @@ class OrbbecCamera:
             number=int(frame.get_index()), timestamp_us=timestamp_us, received_ns=received_ns, picture=picture
         )
         waiting = self._queues[stream]
+        if self._is_file:
+            with contextlib.suppress(queue.Full):
+                waiting.put(received, timeout=FIRST_FRAME_S)
+            return
         if waiting.full():
             with contextlib.suppress(queue.Empty):
                 waiting.get_nowait()
@@ -156,6 +167,8 @@ class OrbbecCamera:
                 raise SourceLostError(msg) from error
             if stream == COLOR:
                 self._take_color(first)
+            else:
+                self._first = first
 
     def read(self, timeout_s: float) -> NativeFrame | None:
         """Return the next depth frame with the colour frame nearest to it among those that have come.
@@ -166,10 +179,11 @@ class OrbbecCamera:
             The camera was unplugged.
         """
         empty_ns = time.monotonic_ns() if self._queues[DEPTH].empty() else None
+        depth, self._first = self._first, None
         try:
-            depth = self._queues[DEPTH].get(timeout=timeout_s)
+            depth = depth or self._queues[DEPTH].get(timeout=timeout_s)
         except queue.Empty:
-            self._refuse_unplugged()
+            self._refuse_end()
             return None
         with contextlib.suppress(queue.Empty):
             while True:
@@ -193,9 +207,14 @@ class OrbbecCamera:
         if timestamp_us is not None:
             self._colors.add(timestamp_us, color.picture)
 
-    def _refuse_unplugged(self) -> None:
-        """Raise SourceLostError where the device is gone; its SDK only stops to deliver."""
-        if f"{PREFIX}{self._serial}" not in [one.uri for one in list_cameras()]:
+    def _refuse_end(self) -> None:
+        """Raise SourceLostError where the device is gone, SourceEndedError after a recording: both only fall silent."""
+        assert self._device is not None
+        if self._is_file:
+            if self._device.get_playback_status() == ob.OBPlaybackStatus.STOPPED:
+                msg = "the recording has ended"
+                raise SourceEndedError(msg)
+        elif f"{PREFIX}{self._serial}" not in [one.uri for one in list_cameras()]:
             msg = "the Orbbec camera was disconnected"
             raise SourceLostError(msg)
 
@@ -209,6 +228,11 @@ class OrbbecCamera:
 def _device(serial: str) -> tuple[ob.Context, ob.Device]:
     """Return a camera and the context that it lives in."""
     context = ob.Context()
+    if serial.startswith(FILE):
+        try:
+            return context, ob.PlaybackDevice(serial.removeprefix(FILE))
+        except ob.OBError as error:
+            raise SourceLostError(f"{serial.removeprefix(FILE)} is no recording of the SDK: {error}") from error
     try:
         return context, context.query_devices().get_device_by_serial_number(serial)
     except ob.OBError as error:

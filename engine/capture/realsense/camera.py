@@ -15,17 +15,19 @@ from engine.capture.camera_process.lens import fitted, grid_px, with_distortion
 from engine.capture.camera_process.native import DeviceClock, NativeFrame, in_mm
 from engine.capture.camera_process.pairing import RecentColors
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
-from engine.core.errors import SourceLostError
+from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.geometry import Intrinsics, RigidTransform
 
 PREFIX = "realsense:"
+FILE = "file:"
+"""What stands before the path of a recording, in place of a serial number."""
 SIZE_PX = (640, 480)
 FPS = 30
 WRAP_US = 2**32
 """The device counts microseconds with 32 bits: 71.6 minutes."""
 FIRST_FRAME_S = 5.0
 SETTLE_S = 1.0
-QUEUED = 32
+QUEUED, QUEUED_OF_FILE = 32, 128
 MM_PER_M = 1000.0
 DEPTH_UNIT_M = 0.001
 
@@ -47,11 +49,11 @@ def camera(serial: str) -> "RealSenseCamera":
 def factory_calibration(serial: str) -> FactoryCalibration:
     """Return the calibration that a camera has from its maker; raise SourceLostError without the camera."""
     device = _device(serial)
-    depth, color = (_profile(device, kind) for kind in STREAMS)
+    depth, color = (_profile(device, kind, is_any=serial.startswith(FILE)) for kind in STREAMS)
     pose = depth.get_extrinsics_to(color)
     return FactoryCalibration(
         camera=_info(device, rs.camera_info.name) or "RealSense",
-        serial=serial,
+        serial=_info(device, rs.camera_info.serial_number),
         depth=_intrinsics(depth.get_intrinsics()),
         color=_intrinsics(color.get_intrinsics()),
         color_from_depth=RigidTransform(
@@ -71,11 +73,15 @@ class RealSenseCamera:
     def __init__(self, serial: str) -> None:
         self._serial = serial
         self._started: list[rs.sensor] = []
-        self._queues = {kind: rs.frame_queue(QUEUED, keep_frames=True) for kind in STREAMS}
+        self._is_file = serial.startswith(FILE)
+        kept = QUEUED_OF_FILE if self._is_file else QUEUED
+        self._queues = {kind: rs.frame_queue(kept, keep_frames=True) for kind in STREAMS}
         self._colors = RecentColors()
         self._clock = DeviceClock(WRAP_US)
         self._unit_mm = MM_PER_M * DEPTH_UNIT_M
         self._device: rs.device | None = None
+
+        self._first: rs.frame | None = None
 
     def open(self) -> SourceDescription:
         """Start both streams, wait for their first frames, and fix the exposure.
@@ -83,36 +89,42 @@ class RealSenseCamera:
         Raises
         ------
         SourceLostError
-            No such camera; a slow USB connection; another program has it; it delivers nothing, or no times of its own.
+            No such camera or recording; a slow USB connection; another program has it; it delivers nothing, or no times
+            of its own.
         """
         device = self._device = _device(self._serial)
         name = _info(device, rs.camera_info.name) or "RealSense"
         usb = _info(device, rs.camera_info.usb_type_descriptor)
-        if usb and not usb.startswith("3"):
+        if usb and not usb.startswith("3") and not self._is_file:
             raise SourceLostError(f"{name} is connected by USB {usb}: it needs a USB 3 port and cable")
         try:
+            profiles = {kind: _profile(device, kind, is_any=self._is_file) for kind in STREAMS}
             for kind, sensor in zip(STREAMS, _sensors(device), strict=True):
-                _set_up(sensor, kind)
-                sensor.open(_profile(device, kind))
+                if not self._is_file:
+                    _set_up(sensor, kind)
+                sensor.open(profiles[kind])
+            for kind, sensor in zip(STREAMS, _sensors(device), strict=True):
                 sensor.start(self._queues[kind])
                 self._started.append(sensor)
         except RuntimeError as error:
             raise SourceLostError(f"{name} cannot be started: {_words(error)}") from error
         self._unit_mm = MM_PER_M * _option(self._started[0], rs.option.depth_units, DEPTH_UNIT_M)
         self._await_first(name)
+        if not self._is_file:
+            self._settle(name)
         firmware = _info(device, rs.camera_info.firmware_version)
         return SourceDescription(
             kind="realsense",
             name=f"{name}, firmware {firmware}" if firmware else name,
-            depth_size=SIZE_PX,
-            color_size=SIZE_PX,
-            fps=float(FPS),
-            is_live=True,
-            serial=self._serial,
+            depth_size=(profiles[rs.stream.depth].width(), profiles[rs.stream.depth].height()),
+            color_size=(profiles[rs.stream.color].width(), profiles[rs.stream.color].height()),
+            fps=float(profiles[rs.stream.depth].fps()),
+            is_live=not self._is_file,
+            serial=_info(device, rs.camera_info.serial_number),
         )
 
     def _await_first(self, name: str) -> None:
-        """Wait for a frame of each stream with times of the device, let the exposure settle, and fix it."""
+        """Wait for a frame of each stream with times of the device."""
         for kind in STREAMS:
             try:
                 frame = self._queues[kind].wait_for_frame(int(1000 * FIRST_FRAME_S))
@@ -123,6 +135,13 @@ class RealSenseCamera:
                     f"{name} delivers no times of its own: the kernel's patches or the SDK's own USB backend are needed"
                 )
                 raise SourceLostError(msg)
+            if kind == rs.stream.depth:
+                self._first = frame
+            else:
+                self._take_color(frame)
+
+    def _settle(self, name: str) -> None:
+        """Let the exposure of depth settle, and fix it."""
         settled_s = time.monotonic() + SETTLE_S
         depth = self._started[0]
         while depth.supports(rs.option.enable_auto_exposure) and time.monotonic() < settled_s:
@@ -142,11 +161,12 @@ class RealSenseCamera:
         """
         deadline_s = time.monotonic() + timeout_s
         queue, empty_ns = self._queues[rs.stream.depth], None
-        while not (frame := queue.poll_for_frame()):
+        frame, self._first = self._first, None
+        while not frame and not (frame := queue.poll_for_frame()):
             empty_ns = time.monotonic_ns()
             left_ms = int(1000 * (deadline_s - time.monotonic()))
             if left_ms <= 0:
-                self._refuse_unplugged()
+                self._refuse_end()
                 return None
             is_there, frame = queue.try_wait_for_frame(left_ms)
             if is_there:
@@ -169,13 +189,21 @@ class RealSenseCamera:
 
     def _take_colors(self) -> None:
         while frame := self._queues[rs.stream.color].poll_for_frame():
-            timestamp_us = self._clock.unwrapped(_time_us(frame))
-            if timestamp_us is not None:
-                self._colors.add(timestamp_us, np.array(frame.get_data()))
+            self._take_color(frame)
 
-    def _refuse_unplugged(self) -> None:
-        """Raise SourceLostError where the device is gone; its SDK only stops to deliver."""
-        if self._device is not None and not self._device.is_connected():
+    def _take_color(self, frame: rs.frame) -> None:
+        timestamp_us = self._clock.unwrapped(_time_us(frame))
+        if timestamp_us is not None:
+            self._colors.add(timestamp_us, np.array(frame.get_data()))
+
+    def _refuse_end(self) -> None:
+        """Raise SourceLostError where the device is gone, SourceEndedError after a recording: both only fall silent."""
+        assert self._device is not None
+        if self._is_file:
+            if self._device.as_playback().current_status() == rs.playback_status.stopped:
+                msg = "the recording has ended"
+                raise SourceEndedError(msg)
+        elif not self._device.is_connected():
             msg = "the RealSense camera was disconnected"
             raise SourceLostError(msg)
 
@@ -189,6 +217,11 @@ class RealSenseCamera:
 
 
 def _device(serial: str) -> rs.device:
+    if serial.startswith(FILE):
+        try:
+            return rs.context().load_device(serial.removeprefix(FILE))
+        except RuntimeError as error:
+            raise SourceLostError(f"{serial.removeprefix(FILE)} is no recording of the SDK: {_words(error)}") from error
     for device in rs.context().query_devices():
         if _info(device, rs.camera_info.serial_number) == serial:
             return device
@@ -209,14 +242,14 @@ def _sensors(device: rs.device) -> list[rs.sensor]:
     return [found[kind] for kind in STREAMS if kind in found]
 
 
-def _profile(device: rs.device, kind: rs.stream) -> rs.video_stream_profile:
-    """Return the profile of a stream with the size, the rate and the format that are used."""
+def _profile(device: rs.device, kind: rs.stream, *, is_any: bool = False) -> rs.video_stream_profile:
+    """Return the profile of a stream with the size, rate and format that are used, or as it was recorded."""
     for sensor in _sensors(device):
         for profile in sensor.get_stream_profiles():
-            if profile.stream_type() != kind or profile.format() != FORMATS[kind] or profile.fps() != FPS:
+            if profile.stream_type() != kind or profile.format() != FORMATS[kind]:
                 continue
             video = profile.as_video_stream_profile()
-            if (video.width(), video.height()) == SIZE_PX:
+            if is_any or (video.fps() == FPS and (video.width(), video.height()) == SIZE_PX):
                 return video
     size = f"{SIZE_PX[0]} x {SIZE_PX[1]}"
     raise SourceLostError(f"the camera has no {kind.name} of {size} at {FPS} frames/s: is it on a USB 3 port?")

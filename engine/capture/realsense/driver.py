@@ -8,4 +8,6 @@ REALSENSE = ProcessDriver(
     install_hint="pip install 'tidegate[realsense]'",
     package="pyrealsense2",
     module="engine.capture.realsense.camera",
+    # Users report drifts of 4 to 12 mm over 30 minutes.
+    warm_up_s=1800.0,
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from engine.calibration.camera_view import PERIOD_NS, WARM_UP_S, CameraViewMeter, camera_view
+from engine.calibration.camera_view import PERIOD_NS, CameraViewMeter, camera_view
 from engine.core.frames import RgbdFrame
 from engine.core.geometry import Intrinsics
 from engine.core.position_check import CameraAdvice
@@ -29,8 +29,8 @@ def frame(depth_mm=None, color=GREY, at_s=0.0):
     return RgbdFrame(index=0, device_index=0, depth_mm=depth_mm, color=color, **stamps)
 
 
-def seen(depth_mm=None, color=GREY, *, running_s=0.0, is_live=False):
-    return camera_view(frame(depth_mm, color), DEPTH, running_s=running_s, is_live=is_live)
+def seen(depth_mm=None, color=GREY, *, running_s=0.0, warm_up_s=0.0):
+    return camera_view(frame(depth_mm, color), DEPTH, running_s=running_s, warm_up_s=warm_up_s)
 
 
 @pytest.mark.parametrize("distance_mm", [700.0, 1100.0])
@@ -82,13 +82,13 @@ def test_light_is_judged():
 
 
 def test_only_a_live_camera_warms_up():
-    assert seen(running_s=WARM_UP_S - 1, is_live=True).advice == (CameraAdvice.WARMING_UP,)
-    assert seen(running_s=WARM_UP_S, is_live=True).advice == ()
+    assert seen(running_s=899.0, warm_up_s=900.0).advice == (CameraAdvice.WARMING_UP,)
+    assert seen(running_s=900.0, warm_up_s=900.0).advice == ()
     assert seen(running_s=0.0).advice == ()
 
 
 def test_a_frame_is_looked_at_once_a_second():
-    meter = CameraViewMeter(DEPTH, is_live=True)
+    meter = CameraViewMeter(DEPTH, warm_up_s=900.0)
     first = meter.look(frame(at_s=0.0))
     assert meter.look(frame(plane_mm(1300), at_s=0.99)) is first
     later = meter.look(frame(plane_mm(1300), at_s=PERIOD_NS / 1e9))
@@ -100,6 +100,6 @@ def test_arbitrary_pictures_never_fail(seed, shape, share):
     rng = np.random.default_rng(seed)
     depth_mm = np.where(rng.random(shape) < share, rng.integers(0, 65536, shape), 0).astype(np.uint16)
     color = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
-    found = camera_view(frame(depth_mm, color), DEPTH, running_s=0.0, is_live=True)
+    found = camera_view(frame(depth_mm, color), DEPTH, running_s=0.0, warm_up_s=900.0)
     assert 0.0 <= found.coverage <= 1.0
     assert math.isnan(found.tilt_deg) or 0.0 <= found.tilt_deg <= 90.0

@@ -101,3 +101,18 @@ def test_no_module_outside_of_its_folder_names_the_sdk():
         if "openni" not in path.parts and path not in allowed and OUTSIDE.search(path.read_text(encoding="utf-8"))
     ]
     assert named == []
+
+
+def test_each_kind_warms_up_for_its_own_time():
+    assert drivers.warm_up_s("realsense:0123") == 1800.0
+    assert drivers.warm_up_s("orbbec:CL8F") == 2700.0
+    assert drivers.warm_up_s("1d27/0601@1/7") == drivers.warm_up_s(None) == 900.0
+
+
+def test_every_kind_is_listed_with_what_installs_it():
+    found = {one.label: one.install_hint for one in drivers.kinds()}
+    assert found == {
+        "the RealSense SDK": "pip install 'tidegate[realsense]'",
+        "the Orbbec SDK": "pip install --no-deps pyorbbecsdk2",
+        "the OpenNI2 runtime": "apt-get install libopenni2-0",
+    }

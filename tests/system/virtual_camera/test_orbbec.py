@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from engine.calibration.device_registration import built_in_calibration
+from engine.capture import OniFileSource
 from engine.capture.drivers import list_cameras, open_camera
+from engine.capture.recorder import record
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, SourceLostError
 from tests.support.orbbec.camera import PERIOD_US, SERIAL, URI, environment
@@ -148,3 +150,15 @@ def test_the_makers_calibration_is_the_cameras(film, seen):
         assert np.allclose(getattr(found, name).constants, getattr(wanted, name).constants, rtol=1e-5, atol=1e-4)
     assert np.allclose(found.color_from_depth.rotation, wanted.color_from_depth.rotation, atol=1e-6)
     assert np.allclose(found.color_from_depth.translation_mm, wanted.color_from_depth.translation_mm, atol=1e-3)
+
+
+def test_a_recording_of_its_sdk_is_read_frame_by_frame_and_ends(film, tmp_path):
+    environment(tmp_path, film, 60)
+    out = tmp_path / "recording.oni"
+    found = record(tmp_path / "camera.bag", out, seconds=60.0, clock=MonotonicClock())
+    assert (found.depth.frames, found.depth.missed_frames) == (60, 0)
+    source = OniFileSource(out, clock=MonotonicClock())
+    source.open()
+    first = source.read(1.0)
+    source.close()
+    assert np.array_equal(first.depth_mm, film.pictures(0)[0])

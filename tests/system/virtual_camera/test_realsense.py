@@ -13,7 +13,7 @@ import pytest
 
 from engine.calibration import load_calibration
 from engine.calibration.device_registration import built_in_calibration
-from engine.capture import OniFileSource
+from engine.capture import OniFileSource, describe
 from engine.capture.drivers import list_cameras, listed_address, open_camera
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
@@ -257,3 +257,37 @@ def test_it_is_listed_and_checked_on_the_command_line(camera, tmp_path):
     assert {found[code]["verdict"] for code in ("rate", "back", "clock", "colour", "repeated")} <= {"pass", "warn"}
     assert "noise of a pixel" in done.stdout
     assert done.returncode in {0, 1}
+
+
+def test_a_recording_of_its_sdk_is_read_frame_by_frame_and_has_its_calibration(camera, tmp_path):
+    made, out, calibration = tmp_path / "viewer.db3", tmp_path / "recording.oni", tmp_path / "calibration.json"
+    env = {**os.environ, **environment(camera)}
+    program = [sys.executable, "-m", "tests.support.realsense.recorder_program", str(made), "4"]
+    done = subprocess.run(program, env=env, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert made.stat().st_size > 1_000_000
+    plain = {name: value for name, value in os.environ.items() if name != "CAMERA_SDK_PATH"}
+    command = [sys.executable, "-m", "service.cli"]
+    for words in (
+        ["record", "--source", str(made), "--seconds", "60", "--out", str(out)],
+        ["devices", "calibration", "--source", str(made), "--out", str(calibration)],
+    ):
+        done = subprocess.run([*command, *words], env=plain, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+    assert load_calibration(calibration).serial == SERIAL
+    found = describe(out)
+    assert found.depth.frames > 90
+    assert found.depth.missed_frames <= 2
+    source = OniFileSource(out, clock=MonotonicClock())
+    source.open()
+    first = source.read(1.0)
+    source.close()
+    assert any(np.array_equal(first.depth_mm, camera.film.pictures(i)[0]) for i in range(camera.film.frames))
+
+
+def test_a_file_of_no_sdk_is_refused(camera, tmp_path):
+    (tmp_path / "none.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(5000))
+    done = run(camera, "record", "--source", str(tmp_path / "none.bag"), "--out", str(tmp_path / "out.oni"))
+    assert done.returncode == 2
+    assert "is a recording of neither RealSense's nor Orbbec's SDK" in done.stderr
+    assert list(tmp_path.glob("*.oni*")) == []
