@@ -45,7 +45,8 @@ class Hello(Message):
     ping_s: float = Field(description="A `ping` is sent when no other message was sent for this time")
     calibration: CalibrationKind | None = Field(
         default=None,
-        description="Calibration of the running session; `device registration`: the camera is not calibrated",
+        description="Calibration of the running session; `device registration` or `device calibration` (its maker's):"
+        " this unit was not calibrated here",
     )
     calibration_warning: str | None = Field(default=None, description="Warning to display beside every result")
 

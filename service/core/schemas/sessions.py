@@ -505,7 +505,8 @@ class Session(Answer):
     source: Source
     calibration_id: Identifier
     calibration: CalibrationKind = Field(
-        default="uploaded", description="`device registration`: the camera is not calibrated"
+        default="uploaded",
+        description="`device registration` or `device calibration` (its maker's): this unit was not calibrated here",
     )
     calibration_warning: Text | None = Field(default=None, description="Warning to display beside every result")
     source_warning: Text | None = Field(

@@ -233,9 +233,14 @@ class World:
         running.latest = _with_surface(running.latest)
 
     def _create_session(self) -> str:
-        answer = self.send("POST", f"{V1}/sessions", self._session_body())
-        assert answer.status_code == 201, answer.text
-        return str(answer.json()["id"])
+        answers: list[Any] = []
+
+        def is_created() -> bool:  # the previous owner of camera and line may still be closing
+            answers.append(self.send("POST", f"{V1}/sessions", self._session_body()))
+            return bool(answers[-1].status_code == 201)
+
+        eventually(is_created, detail=lambda: answers[-1].text)
+        return str(answers[-1].json()["id"])
 
     def _end_session(self) -> None:
         for session in self._services.sessions.page(None, 5).items:

@@ -115,7 +115,9 @@ def test_the_set_up_never_covers_the_gate_or_the_trace(fake: FakeService, tab: T
 def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService, empty: Page):
     fill(empty)
     empty.select_option("[name=source]", "device:")
-    empty.select_option("[name=calibration_id]", label="None: the live camera's built-in registration")
+    empty.select_option(
+        "[name=calibration_id]", label="None: the live camera's own registration or its maker's calibration"
+    )
     empty.click("#new-session [type=submit]")
     expect(empty.locator("#setup")).to_be_hidden()
     path, request = fake.posts()[-1]
@@ -124,7 +126,9 @@ def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService,
     assert "calibration_id" not in request
 
 
-@pytest.mark.parametrize(("kind", "is_shown"), [("device registration", True), ("uploaded", False)])
+@pytest.mark.parametrize(
+    ("kind", "is_shown"), [("device registration", True), ("device calibration", True), ("uploaded", False)]
+)
 def test_a_session_that_was_not_calibrated_states_it_all_the_time(
     fake: FakeService, tab: Tab, kind: str, is_shown: bool
 ):

@@ -253,14 +253,15 @@ def test_a_part_of_the_trace_and_a_moment_are_those_of_the_samples(client, playe
     assert on_s == pytest.approx(
         sum(step for row, step in zip(samples, steps, strict=True) if row["gate"] == "beam_on"), abs=0.01 * len(steps)
     )
-    index = next(i for i, row in enumerate(samples) if row["gate"] == "beam_on")
+    measured = [i for i, row in enumerate(samples) if row["whole_mm"] is not None]
+    index = min(measured, key=lambda i: samples[i]["whole_mm"])
     moment = client.get(f"/api/v1/sessions/{played.session_id}/moment", params={"at_s": times[index]}).json()
     assert moment["frame_index"] == samples[index]["frame_index"]
     cells = [one for line in moment["cells_mm"] for one in line]
     wanted = [None if math.isnan(one) else round(one, 3) for one in samples[index]["regions_mm"]]
     assert cells == pytest.approx(wanted, abs=1e-3, nan_ok=True)
     # The surface lies at the camera's distance, and a deeper breath is nearer to the camera.
-    deepest = max(range(len(samples)), key=lambda i: samples[i]["whole_mm"] or -99.0)
+    deepest = max(measured, key=lambda i: samples[i]["whole_mm"])
     inhaled = client.get(f"/api/v1/sessions/{played.session_id}/moment", params={"at_s": times[deepest]}).json()
 
     def depth_mm(one):

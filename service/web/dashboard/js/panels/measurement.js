@@ -65,9 +65,9 @@ function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
   return tr("measurement.turn_tilt_shape_mm", { value: fixed(turn, 1), value2: fixed(tilt, 1), value3: fixed(shape, 1) });
 }
 
-/** Show permanently that a session uses the camera's built-in registration. */
+/** Show permanently that a session uses what the camera brings itself: its registration, or its maker's calibration. */
 export function renderCalibration(kind) {
-  document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";
+  document.getElementById("badge-uncalibrated").hidden = !kind || kind === "uploaded";
 }
 
 /** Show permanently that a recording gates a real beam line. */
