@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,7 +58,7 @@ def calibration(
 ) -> None:
     """Write the calibration that a camera brings itself, by its maker or by its registration.
 
-    The source may also be a recording of a maker's SDK (.bag, .db3).
+    The source may also be a recording of a maker's SDK (.bag, .db3). Check it with a plate before it is uploaded.
     """
     from engine.calibration import built_in_calibration
     from engine.capture import drivers
@@ -70,6 +70,8 @@ def calibration(
         if found is None:
             msg = "this camera neither registers depth to colour itself nor has a calibration of its maker"
             raise SourceLostError(msg)
+        # Without the mark of what a camera brings itself: who checks it with a plate and uploads it answers for it.
+        found = replace(found, camera=f"{found.camera.partition(': ')[2]}, by its maker"[:80])
         write_whole(out, found.to_json().encode())
     except (TidegateError, OSError) as error:
         raise refused("devices", error) from error

@@ -150,7 +150,7 @@ def test_no_address_but_our_own_is_written_down(text: str):
 
 
 def test_nothing_of_a_cluster_comes_into_the_image():
-    """A scheduler runs what anyone sends it; a room's image installs the run-time lock file, and the cameras' SDKs if asked."""
+    """A scheduler runs what anyone sends it; a room's image installs the run-time lock file, and SDKs if asked."""
     assert "else lock=requirements.lock; fi" in DOCKERFILE
     assert not re.search(
         r"requirements-(dev|cluster)\.lock[^\n]*-r|-r requirements-(cluster)\.lock|\[cluster\]", DOCKERFILE
