@@ -55,7 +55,7 @@ check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
 # Which test is of which part: tests/support/selection.py. Every part runs, whatever came of those before it.
-test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
+test: $(STAMP) $(CLIENT_STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
 	@mkdir -p build; failed=; $(call OTHERS,lint security types contracts); $(MAKE) --no-print-directory tests || failed=" tests"; $(THEIRS)
 
 # Three processes on two cores where no time is judged: one of them often waits for a browser, a database or a service.

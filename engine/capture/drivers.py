@@ -1,5 +1,7 @@
 """The camera drivers: one row for each SDK. Nothing outside of an SDK's folder names it."""
 
+import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,15 +42,21 @@ def list_cameras(pinned: str = "") -> list[ListedCamera]:
     available = [driver for driver in _available() if _may_have(driver, pinned)]
     if not available:
         raise RuntimeMissingError(missing_text())
-    found, failed = list[ListedCamera](), list[RuntimeMissingError]()
-    for driver in available:
-        try:
-            found += driver.list_cameras()
-        except RuntimeMissingError as error:
-            failed.append(error)
+    with ThreadPoolExecutor(len(available)) as pool:  # an SDK in a process of its own takes a second
+        answers = list(pool.map(_listed, available))
+    failed = [answer for answer in answers if isinstance(answer, RuntimeMissingError)]
     if len(failed) == len(available):
         raise failed[0]
+    found = itertools.chain.from_iterable(answer for answer in answers if isinstance(answer, list))
     return [camera for camera in found if camera.uri.startswith(pinned)]
+
+
+def _listed(driver: CameraDriver) -> list[ListedCamera] | RuntimeMissingError:
+    """Return a driver's cameras, or why it has none to offer: one SDK that fails hides no other's cameras."""
+    try:
+        return driver.list_cameras()
+    except RuntimeMissingError as error:
+        return error
 
 
 def _may_have(driver: CameraDriver, pinned: str) -> bool:

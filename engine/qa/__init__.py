@@ -15,6 +15,10 @@ if TYPE_CHECKING:
         check_of as check_of,
         checks_of as checks_of,
     )
+    from engine.qa.device_check import (
+        DeviceCheck as DeviceCheck,
+        DeviceFinding as DeviceFinding,
+    )
     from engine.qa.inputs import (
         PART_BOUNDS as PART_BOUNDS,
         REPEATS_BOUNDS as REPEATS_BOUNDS,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -17,8 +18,8 @@ from service.cli.command_group import command_group
 from service.cli.terminal import refused
 
 if TYPE_CHECKING:
-    from engine.capture.source import LiveSource
-    from engine.qa.device_check import DeviceCheck, DeviceFinding
+    from engine.capture import LiveSource
+    from engine.qa import DeviceCheck, DeviceFinding
 
 READ_S = 1.0
 REPLUG_S = 120.0
@@ -38,7 +39,7 @@ def list_devices() -> None:
 
     kinds = Table("kind", "installed", "installed by", show_edge=False)
     for kind in drivers.kinds():
-        kinds.add_row(kind.label, "yes" if kind.is_installed else "no", kind.install_hint)
+        kinds.add_row(kind.label, "yes" if kind.is_installed else "no", escape(kind.install_hint))
     console = Console()
     console.print(kinds)
     try:
@@ -47,7 +48,7 @@ def list_devices() -> None:
         raise refused("devices", error) from error
     cameras = Table("address", "camera", show_edge=False)
     for one in found:
-        cameras.add_row(one.uri, f"{one.vendor} {one.name}".strip())
+        cameras.add_row(escape(one.uri), escape(f"{one.vendor} {one.name}".strip()))
     console.print(cameras if found else drivers.none_text())
 
 
@@ -98,7 +99,7 @@ def check(
     from engine.capture import drivers
     from engine.core.clock import MonotonicClock
     from engine.core.files import write_whole
-    from engine.qa.device_check import DeviceCheck
+    from engine.qa import DeviceCheck
 
     camera = None
     try:

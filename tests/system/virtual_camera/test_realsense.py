@@ -249,6 +249,7 @@ def test_it_is_listed_and_checked_on_the_command_line(camera, tmp_path):
     listed = run(camera, "devices", "list").stdout
     assert URI in listed
     assert "pip install --no-deps pyorbbecsdk2" in listed
+    assert "tidegate[realsense]" in listed
     out = tmp_path / "check.json"
     done = run(camera, "devices", "check", "--source", URI, "--seconds", "6", "--out", str(out))
     document = json.loads(out.read_text())

@@ -17,7 +17,7 @@ export class Setup {
    * @param {(session: object) => string} onOpen called with a session that is over, to show it; returns why it cannot be
    */
   constructor(access, onSelect, onOpen) {
-    Object.assign(this, { access, onSelect, onOpen });
+    Object.assign(this, { access, onSelect, onOpen, sources: { devices: [], recordings: [], kinds: [] } });
     this.panel = byId("setup");
     this.toggle = byId("do-setup");
     this.form = byId("new-session");
@@ -48,13 +48,13 @@ export class Setup {
     if (isShown) {
       this.panel.scrollTop = 0;
       this.#offer();
-      this.#begin();
+      // The plans are there long before cameras have answered.
+      this.refresh(() => this.#focusFirst());
     }
   }
 
   /** Focus the first plan, where no one has gone anywhere yet. */
-  async #begin() {
-    await this.refresh();
+  #focusFirst() {
     if (document.activeElement === document.body && !this.panel.hidden) document.querySelector("#plan-list button")?.focus();
   }
 
@@ -62,6 +62,7 @@ export class Setup {
   forget() {
     this.show(false);
     this.#empty();
+    this.sources = { devices: [], recordings: [], kinds: [] };
     this.list.forget();
     this.#say("", "");
   }
@@ -77,10 +78,10 @@ export class Setup {
     byId("calibration-file").title = obstacle(person, "upload");
   }
 
-  /** Reload sessions, calibrations and cameras. */
-  async refresh() {
+  /** Reload sessions, calibrations and cameras. @param {() => void} onPlans called once the plans are shown */
+  async refresh(onPlans = () => {}) {
     if (this.panel.hidden) return;
-    await Promise.all([this.list.refresh(), this.#loadCalibrations(), this.#loadSources()]);
+    await Promise.all([this.list.refresh().then(onPlans), this.#loadCalibrations(), this.#loadSources()]);
   }
 
   /** Fill the form for a plan's next fraction; for null a person types patient and plan. */
@@ -116,8 +117,15 @@ export class Setup {
 
   async #loadSources() {
     const none = () => ({ items: [], kinds: [] });
-    const [devices, recordings] = await Promise.all([listDevices().catch(none), listRecordings().catch(none)]);
-    this.fields.offerSources(devices.items, recordings.items, devices.kinds ?? []);
+    const offer = (part) => {
+      Object.assign(this.sources, part);
+      this.fields.offerSources(this.sources.devices, this.sources.recordings, this.sources.kinds);
+    };
+    // SDKs of cameras take seconds to answer: recordings do not wait for them.
+    await Promise.all([
+      listRecordings().catch(none).then(({ items }) => offer({ recordings: items })),
+      listDevices().catch(none).then(({ items, kinds }) => offer({ devices: items, kinds: kinds ?? [] })),
+    ]);
   }
 
   async #upload(input) {
