@@ -190,7 +190,10 @@ class Campaign:
         return name
 
     def _query(self, name: str) -> dict[str, str]:
-        return {"check": "camera_distance_mm"} if name == "read_qa_trend" else {}
+        return {
+            "read_qa_trend": {"check": "camera_distance_mm"},
+            "read_similarity": {"other": self._world.known["model_id"]},
+        }.get(name, {})
 
     def _judge(self, kind: str, case: Any, response: Any, caller: str) -> None:
         name = str(case.operation.definition.raw["operationId"])
