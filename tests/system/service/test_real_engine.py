@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.capture.openni.driver import OpenNiDriver
+from engine.capture import drivers
 from service.core.settings.settings import Settings
 from service.engine_host import beam_lines
 from service.engine_host.local_engine import LocalEngine
@@ -228,12 +228,13 @@ def test_a_camera_that_is_not_there_and_a_file_called_a_camera_are_refused(real_
 
 
 def test_a_missing_runtime_is_stated_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
-    monkeypatch.setattr(OpenNiDriver, "is_available", lambda _driver: False)
+    for driver in {type(one) for one in drivers.CAMERAS}:
+        monkeypatch.setattr(driver, "is_available", lambda _driver: False)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
     with PeopleClient(create_app(settings)) as client:
         devices = client.get("/api/v1/devices").json()
         assert (devices["is_runtime_available"], devices["items"]) == (False, [])
-        assert "libopenni2-0" in devices["detail"]
+        assert all(one.install_hint in devices["detail"] for one in drivers.CAMERAS)
         source = {"kind": "recording", "path": "recording.oni", "player": "openni"}
         session_id = open_session(client, make_calibration().to_json(), source=source)
         answer = act(client, session_id, "start")
