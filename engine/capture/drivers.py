@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.capture.camera_process.native import FILE
 from engine.capture.openni.driver import OpenNiDriver
 from engine.capture.orbbec.driver import ORBBEC
 from engine.capture.realsense.driver import REALSENSE
@@ -166,8 +167,6 @@ def recording_source(source: str | Path | None, *, clock: Clock, record_to: Path
     return player
 
 
-FILE = "file:"
-"""What stands between a driver's prefix and the path of a recording of its maker, in place of a serial number."""
 MAKERS = {b"/device_0/sensor_": REALSENSE, b"/cam/sensor_": ORBBEC}
 """What recordings of a maker's SDK hold: the names of their topics."""
 SUFFIXES = (".bag", ".db3")

@@ -13,10 +13,19 @@ import numpy as np
 from engine.capture.source import SourceDescription
 from engine.core.frames import ColorImage, DepthImage
 
+FILE = "file:"
+"""Prefix of a recording's path, given in place of a serial number."""
+SIZE_PX = (640, 480)
+FPS = 30
+FIRST_FRAME_S = 5.0
+"""A camera without frames of both streams for this long is refused [s]."""
+SETTLE_S = 1.0
+"""The exposure of depth is automatic for this long, then fixed [s]."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NativeFrame:
-    """A depth frame and the newest colour frame, as the SDK delivered them.
+    """A depth frame and the colour frame paired with it, as the SDK delivered them.
 
     Attributes
     ----------
@@ -53,7 +62,7 @@ class NativeCamera(Protocol):
 class DeviceClock:
     """Device times without wraps, of all streams of a device.
 
-    A counter of ``period_us`` starts anew each time it is full (2^32 us are 71.6 minutes). Each reading is taken as the
+    The device's counter returns to 0 after ``period_us`` (2^32 us are 71.6 minutes). Each reading is taken as the
     one nearest to the reading before it, of whichever stream: a step back stays a step back.
     """
 

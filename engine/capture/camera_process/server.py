@@ -108,7 +108,7 @@ def main(arguments: list[str]) -> int:
             _say(channel, {"ended": str(error)})
         except TidegateError as error:
             _say(channel, {"failed": str(error)})
-        except Exception as error:  # noqa: BLE001 - an SDK raises anything; the engine is told, and opens it anew
+        except Exception as error:  # noqa: BLE001 - an SDK raises anything; the engine is told, and opens it again
             _say(channel, {"failed": f"the camera's driver failed: {' '.join(str(error).split())}"[:1000]})
     return 0
 

@@ -20,7 +20,16 @@ with contextlib.redirect_stdout(io.StringIO()):
     import pyorbbecsdk as ob
 
 from engine.capture.camera_process.lens import fitted, grid_px, with_distortion
-from engine.capture.camera_process.native import DeviceClock, NativeFrame, in_mm
+from engine.capture.camera_process.native import (
+    FILE,
+    FIRST_FRAME_S,
+    FPS,
+    SETTLE_S,
+    SIZE_PX,
+    DeviceClock,
+    NativeFrame,
+    in_mm,
+)
 from engine.capture.camera_process.pairing import RecentColors
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceEndedError, SourceLostError
@@ -28,13 +37,7 @@ from engine.core.frames import ColorImage, DepthImage
 from engine.core.geometry import Intrinsics, RigidTransform
 
 PREFIX = "orbbec:"
-FILE = "file:"
-"""What stands before the path of a recording, in place of a serial number."""
-SIZE_PX = (640, 480)
-FPS = 30
 LONGEST_US = 2**53
-FIRST_FRAME_S = 5.0
-SETTLE_S = 1.0
 QUEUED = 32
 SENSORS = (ob.OBSensorType.DEPTH_SENSOR, ob.OBSensorType.COLOR_SENSOR)
 FORMATS = ((ob.OBFormat.Y16, ob.OBFormat.Z16), (ob.OBFormat.RGB, ob.OBFormat.BGR, ob.OBFormat.MJPG))

@@ -12,21 +12,24 @@ import numpy as np
 import pyrealsense2 as rs
 
 from engine.capture.camera_process.lens import fitted, grid_px, with_distortion
-from engine.capture.camera_process.native import DeviceClock, NativeFrame, in_mm
+from engine.capture.camera_process.native import (
+    FILE,
+    FIRST_FRAME_S,
+    FPS,
+    SETTLE_S,
+    SIZE_PX,
+    DeviceClock,
+    NativeFrame,
+    in_mm,
+)
 from engine.capture.camera_process.pairing import RecentColors
 from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.geometry import Intrinsics, RigidTransform
 
 PREFIX = "realsense:"
-FILE = "file:"
-"""What stands before the path of a recording, in place of a serial number."""
-SIZE_PX = (640, 480)
-FPS = 30
 WRAP_US = 2**32
 """The device counts microseconds with 32 bits: 71.6 minutes."""
-FIRST_FRAME_S = 5.0
-SETTLE_S = 1.0
 QUEUED, QUEUED_OF_FILE = 32, 128
 MM_PER_M = 1000.0
 DEPTH_UNIT_M = 0.001

@@ -1,7 +1,7 @@
 """A virtual RealSense: librealsense's software device in whatever process is given its environment.
 
-It plays a virtual Xtion, so everything that a :class:`~tests.support.virtual_camera.camera.VirtualXtion` can be told
-(lost, repeated and late frames, clocks, covers, a pulled cable) happens to its frames too.
+It plays a virtual Xtion: each fault of a :class:`~tests.support.virtual_camera.camera.VirtualXtion` (lost, repeated and
+late frames, clocks, covers, a pulled cable) reaches its frames.
 """
 
 import json

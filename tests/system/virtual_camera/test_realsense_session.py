@@ -1,6 +1,6 @@
 """The whole live path with a RealSense: a real service, librealsense in its own process, and a real line's receiver.
 
-The camera is librealsense's software device; what befalls its frames is told to the virtual Xtion that feeds it. Bounds
+The camera is librealsense's software device; faults of its frames are set on the virtual Xtion that feeds it. Bounds
 and judgement are those of `test_live_session`.
 """
 
