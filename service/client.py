@@ -451,7 +451,7 @@ class InterlockSetting(TypedDict):
     high: float | None
     low: float | None
     name: str
-    value: float | bool | list[str]
+    value: float | bool | list[str] | None
     variable: str
 
 
@@ -1090,6 +1090,7 @@ class LiveCameraView(TypedDict):
     running_s: float
     saturated: float
     tilt_deg: float | None
+    warm_in_s: float
 
 
 class LiveCheck(TypedDict):

@@ -7,6 +7,7 @@ import numpy as np
 from engine.core.frames import DepthImage, FloatArray, RgbdFrame
 from engine.core.geometry import Intrinsics
 from engine.core.position_check import CameraAdvice, CameraView
+from engine.core.warmth import Warmth
 
 PERIOD_NS = 1_000_000_000
 STEP_PX = 8
@@ -22,10 +23,10 @@ _TRIMMED_SHARE = 0.75
 
 
 class CameraViewMeter:
-    """Describes frames of one camera, whose readings drift for ``warm_up_s``; for the engine's thread."""
+    """Describes frames of one camera, whose warmth another part follows; for the engine's thread."""
 
-    def __init__(self, depth: Intrinsics, *, warm_up_s: float) -> None:
-        self._depth, self._warm_up_s = depth, warm_up_s
+    def __init__(self, depth: Intrinsics, warmth: Warmth) -> None:
+        self._depth, self._warmth = depth, warmth
         self._first_ns: int | None = None
         self._next_ns = 0
         self._newest: CameraView | None = None
@@ -37,13 +38,16 @@ class CameraViewMeter:
         if self._newest is None or frame.received_ns >= self._next_ns:
             self._next_ns = frame.received_ns + PERIOD_NS
             self._newest = camera_view(
-                frame, self._depth, running_s=(frame.received_ns - self._first_ns) / 1e9, warm_up_s=self._warm_up_s
+                frame,
+                self._depth,
+                running_s=(frame.received_ns - self._first_ns) / 1e9,
+                warm_in_s=self._warmth.left_s,
             )
         return self._newest
 
 
-def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, warm_up_s: float) -> CameraView:
-    """Describe the middle of a frame; ``warm_up_s`` is the camera's kind's, 0 for a recording [s]."""
+def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, warm_in_s: float) -> CameraView:
+    """Describe the middle of a frame; the camera is warm in ``warm_in_s``, 0 for a recording [s]."""
     points_mm, coverage = _points(frame.depth_mm, depth)
     distance_mm = float(np.median(points_mm[:, 2])) if len(points_mm) else math.nan
     color = frame.color[_middle(frame.color.shape)]
@@ -56,7 +60,7 @@ def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, warm_u
         CameraAdvice.GAPS: coverage < MIN_COVERAGE,
         CameraAdvice.TOO_DARK: brightness < DARKEST,
         CameraAdvice.TOO_BRIGHT: brightness > BRIGHTEST or saturated > MAX_SATURATED,
-        CameraAdvice.WARMING_UP: running_s < warm_up_s,
+        CameraAdvice.WARMING_UP: warm_in_s > 0.0,
     }
     return CameraView(
         distance_mm=distance_mm,
@@ -65,6 +69,7 @@ def camera_view(frame: RgbdFrame, depth: Intrinsics, *, running_s: float, warm_u
         brightness=brightness,
         saturated=saturated,
         running_s=running_s,
+        warm_in_s=warm_in_s,
         advice=tuple(advice for advice, is_so in found.items() if is_so),
     )
 

@@ -203,8 +203,8 @@ class Projection:
     coefficients
         ``beta`` and, behind it, those of the smooth correction that the components do not span, shape (k + e,).
     residual_mm
-        Largest mean misfit of any visible cell of the region [mm]: the best indicator that this is still the patient
-        of the training.
+        Largest mean misfit of any visible cell of the region [mm], less what a sensor noisier than the usual adds to
+        it: the best indicator that this is still the patient of the training.
     valid_share
         Share of the ROI the sensor saw, 0 to 1.
     inlier_share

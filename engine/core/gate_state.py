@@ -77,6 +77,7 @@ GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
 TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
 PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
 SETUP = "AAPM TG-302: position by the surface before treatment; AAPM TG-147"
+SETUP_CAMERA = "AAPM TG-147, TG-302: let a camera warm up"
 TERMINATION = "IEC 60601-2-1: termination of irradiation; AAPM TG-142: gating interlock, functional"
 LOCALIZATION = "AAPM TG-147: calibration of the localization system"
 
@@ -246,6 +247,13 @@ class HoldReason(enum.StrEnum):
         "beam_without_calibration",
         alarm=_A.SET_UP,
         source=LOCALIZATION,
+    )
+    CAMERA_WARMING = _hold(
+        "camera_warming",
+        "the camera has not run for as long as its kind needs until its readings stay",
+        "warm_up_min",
+        alarm=_A.SET_UP,
+        source=SETUP_CAMERA,
     )
     HEAD_DIRECTION_MISSING = _hold(
         "head_direction_missing",

@@ -132,6 +132,8 @@ class CameraView:
         Mean of the colour picture, 0 to 1, and the share of its pixels with a channel at its limit.
     running_s
         Time since the source was opened [s].
+    warm_in_s
+        How long the camera still has to run until it is warm [s]; 0 where it is, or is a recording.
     advice
         What lies outside of the recommended ranges.
     """
@@ -142,4 +144,5 @@ class CameraView:
     brightness: float
     saturated: float
     running_s: float
+    warm_in_s: float
     advice: tuple[CameraAdvice, ...]

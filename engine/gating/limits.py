@@ -9,7 +9,7 @@ What the window of a session is where a request leaves it out; offline runs deci
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from engine.core.bounds import check_numbers
+from engine.core.bounds import check_number, check_numbers
 from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
@@ -127,6 +127,9 @@ class GateLimits:
     holding_events
         Breathing events that hold the beam. While a breath is held in a window for it, only those hold that no breath
         hold resembles (`EVENTS_OF_A_BREATH_HOLD`).
+    warm_up_s, cold_share
+        How long a cold camera of this kind has to run before the beam may be on [s], 0 for a recording; and how cold
+        this one is when the session begins, as in :class:`engine.core.warmth.Warmth`.
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
@@ -183,6 +186,8 @@ class GateLimits:
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
+    warm_up_s: float = 0.0
+    cold_share: float = 1.0
     head_direction: HeadDirection | None = None
     min_breaths_per_min: float = 1.0
     max_breaths_per_min: float = 30.0
@@ -194,6 +199,8 @@ class GateLimits:
     def __post_init__(self) -> None:
         """Raise InvalidValueError for a number out of its bounds, or limits that contradict each other."""
         check_numbers(self, LIMIT_BOUNDS)
+        check_number("warm_up_s", self.warm_up_s, *WARM_UP_BOUNDS_S)
+        check_number("cold_share", self.cold_share, 0.0, 1.0)
         for name in WHOLE_NUMBERS:
             if not isinstance(getattr(self, name), int):
                 raise InvalidValueError(name, getattr(self, name), "a whole number")
@@ -261,6 +268,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }
+WARM_UP_BOUNDS_S = (0.0, 14_400.0)
 WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min")
 
 

@@ -34,6 +34,18 @@ def phantom(
     camera_mm: Annotated[float | None, typer.Option(help="Distance from the camera to the chest [mm].")] = None,
     amplitude_mm: Annotated[float | None, typer.Option(help="Amplitude of the abdomen in free breathing [mm].")] = None,
     hole_share: Annotated[float | None, typer.Option(help="Share of the body without depth values, 0 to 1.")] = None,
+    drift_mm: Annotated[
+        float | None, typer.Option(help="How far a cold camera's readings are off at the start [mm]; fades in minutes.")
+    ] = None,
+    light: Annotated[float | None, typer.Option(help="Light of the room, as a share of the usual.")] = None,
+    shadow: Annotated[
+        float | None, typer.Option(help="Share of the light that the gantry takes; its shadow comes and goes.")
+    ] = None,
+    skin: Annotated[int | None, typer.Option(help="Type of skin, 1 to 6 (Fitzpatrick).")] = None,
+    clothing: Annotated[
+        str | None, typer.Option(help="In place of the own shirt: white, black, striped, or bare for skin.")
+    ] = None,
+    sticker: Annotated[str | None, typer.Option(help="plain, or ringed: a white dot on a black disc.")] = None,
     extra_markers: Annotated[
         bool,
         typer.Option(
@@ -78,7 +90,17 @@ def phantom(
                 seed=seed,
                 out=out,
                 trace=trace,
-                departure=Departure(camera_mm=camera_mm, amplitude_mm=amplitude_mm, hole_share=hole_share),
+                departure=Departure(
+                    camera_mm=camera_mm,
+                    amplitude_mm=amplitude_mm,
+                    hole_share=hole_share,
+                    drift_mm=drift_mm,
+                    light=light,
+                    shadow=shadow,
+                    skin=skin,
+                    clothing=clothing,
+                    sticker=sticker,
+                ),
                 has_laser=laser,
                 has_extra_markers=extra_markers,
                 sensor=sensor,

@@ -18,12 +18,14 @@ from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import TappedClock
 from engine.core.learning_status import LearningEvent
+from engine.core.warmth import Warmth
 from engine.gating import GateLimits
 from engine.motion import BackgroundTrainer, Outcome, Pipeline, PipelineSettings, Trainer
 from engine.offline.replay import TappedTrainer
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_on_state, make_beam_line
+from service.engine_host.camera_warmth import CameraKeeper, WarmingSource, WarmthFile, warm_up_s
 from service.engine_host.roles import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
 from service.engine_host.site_rules.calibrations import check_still_allowed, checked_camera
@@ -64,6 +66,12 @@ class LocalEngine:
         # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
         self._camera_lock = threading.Lock()
         self._newest: Callable[[], RunningEngine | None] = lambda: None
+        self._warmth = WarmthFile(settings.data_dir)
+        self._keeper = CameraKeeper(settings, self._warmth, self._clock)
+
+    def stand_by(self) -> None:
+        """Keep the room's camera running until a session is opened."""
+        self._keeper.start()
 
     @property
     def is_simulated_beam(self) -> bool:
@@ -76,7 +84,8 @@ class LocalEngine:
         return None
 
     def close(self) -> None:
-        """Do nothing: there is no standby to end."""
+        """Release a camera that is kept running."""
+        self._keeper.end()
 
     def open(self, plan: SessionPlan) -> "LoopEngine":
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used.
@@ -95,6 +104,7 @@ class LocalEngine:
             head_direction=plan.head_direction,
             camera_latency_ms=plan.camera_latency_ms,
         )
+        self._keeper.end()
         measuring = measuring_with(self._measuring, plan.regions, plan.window, plan.head_direction)
         tape = SessionTape(plan, self._settings)
         pipeline = Pipeline(
@@ -117,14 +127,23 @@ class LocalEngine:
     def _begun(
         self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
     ) -> "LoopEngine":
+        if isinstance(plan.source, sessions.DeviceSource):
+            address = drivers.listed_address(plan.source.uri, self._settings.camera_uri)
+            warmth = self._warmth.read(address, warm_up_s(address, self._settings))
+            limits = replace(limits, warm_up_s=warm_up_s(address, self._settings), cold_share=warmth.cold_share)
+            camera = self._returning_camera(address, plan.calibration)
+            source: DepthSource = WarmingSource(camera, warmth, self._warmth, address)
+        else:
+            assert plan.recording is not None, "a recording was resolved when the session started"
+            source, warmth = self._player(plan.recording, plan.source.player), Warmth(0.0)
         beam = make_beam_line(self._settings, self._clock)
         loop = EngineLoop(
-            source=self._source(plan),
+            source=source,
             measurer=pipeline,
             learner=pipeline.learner,
             beam=beam,
             beam_on=lambda: beam_on_state(beam),
-            camera_view=_camera_meter(plan, self._settings.camera_uri).look,
+            camera_view=CameraViewMeter(plan.calibration.depth, warmth).look,
             limits=limits,
             clock=self._clock,
             tap=tape.tap,
@@ -136,12 +155,12 @@ class LocalEngine:
 
     def built_in_calibration(self, uri: str | None) -> Calibration:
         """Return the calibration that a camera brings itself; refuse one that has none."""
-        with self._camera_lock:
+        with self._camera_lock, self._keeper:
             newest = self._newest()
             if newest is not None and not newest.status.is_over:
                 msg = "a session is running: its camera cannot be queried"
                 raise CommandRefusedError(msg)
-            return _built_in(uri, self._settings.camera_uri)
+            return _built_in(drivers.listed_address(uri, self._settings.camera_uri))
 
     def note_server_turn(self, turned_ns: int) -> None:
         """Do nothing: an engine in the server's own process has no silence to supervise, as tests run it."""
@@ -164,15 +183,9 @@ class LocalEngine:
             is_runtime_available=True, detail=detail, kinds=sessions.device_kinds(drivers.kinds()), items=items
         )
 
-    def _source(self, plan: SessionPlan) -> DepthSource:
-        if isinstance(plan.source, sessions.DeviceSource):
-            return self._returning_camera(plan.source.uri, plan.calibration)
-        assert plan.recording is not None, "a recording was resolved when the session started"
-        return self._player(plan.recording, plan.source.player)
-
-    def _returning_camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
+    def _returning_camera(self, address: str, calibration: Calibration) -> DepthSource:
         """Return a source that reopens the camera; its address may change, so all listed ones are tried in turn."""
-        first = iter((self._camera(uri, calibration),))
+        first = iter((self._camera(address, calibration),))
         turns = itertools.count()
         pinned = self._settings.camera_uri
         return ReturningSource(
@@ -181,13 +194,12 @@ class LocalEngine:
             needs_serial=not calibration.is_device_registration,
         )
 
-    def _camera(self, uri: str | None, calibration: Calibration) -> LiveSource:
-        is_registered = calibration.is_device_registration
-        pinned = self._settings.camera_uri
-        if calibration.is_built_in and _built_in(uri, pinned).sha256 != calibration.sha256:
+    def _camera(self, address: str, calibration: Calibration) -> LiveSource:
+        """Return the camera of a listed address, not opened."""
+        if calibration.is_built_in and _built_in(address).sha256 != calibration.sha256:
             msg = "the camera is not the one whose own calibration this session was created with"
             raise SourceLostError(msg)
-        address = drivers.listed_address(uri, pinned)
+        is_registered = calibration.is_device_registration
         source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered)
         return checked_camera(source, calibration, self._settings)
 
@@ -198,19 +210,12 @@ class LocalEngine:
         return played or OniFileSource(path, clock=self._clock, is_paced=True, is_repeated=player == "repeated")
 
 
-def _built_in(uri: str | None, pinned: str) -> Calibration:
-    calibration = built_in_calibration(drivers.listed_address(uri, pinned))
+def _built_in(address: str) -> Calibration:
+    calibration = built_in_calibration(address)
     if calibration is None:
         bound = "given: this camera neither registers depth to colour itself nor has a calibration of its maker"
         raise InvalidValueError("calibration_id", "missing", bound)
     return calibration
-
-
-def _camera_meter(plan: SessionPlan, pinned: str) -> CameraViewMeter:
-    """Return what describes how the camera of a session looks."""
-    source = plan.source
-    warm_up_s = drivers.warm_up_s(source.uri or pinned) if isinstance(source, sessions.DeviceSource) else 0.0
-    return CameraViewMeter(plan.calibration.depth, warm_up_s=warm_up_s)
 
 
 class LoopEngine:

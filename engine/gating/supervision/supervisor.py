@@ -17,6 +17,7 @@ from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
 from engine.core.sentences import listed, say
 from engine.core.signals import is_wide
+from engine.core.warmth import Warmth
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.baseline import RETURNED, Baseline
@@ -149,12 +150,29 @@ class ModelAge:
                 self._since_ns = now_ns
 
 
+class WarmUp:
+    """Holds until the camera is warm, counted by its frames; owned by the engine thread."""
+
+    def __init__(self, limits: GateLimits) -> None:
+        self._warmth = Warmth(limits.warm_up_s, limits.cold_share)
+
+    def check(self, received_ns: int) -> Interruption | None:
+        """Return the hold for a camera that is not warm yet."""
+        self._warmth.frame(received_ns)
+        left_min = math.ceil(self._warmth.left_s / 60.0)
+        if not left_min:
+            return None
+        detail = say("readings drift for {left_min} more minutes: let the camera run", left_min=left_min)
+        return Interruption(HoldReason.CAMERA_WARMING, detail)
+
+
 class FrameSupervisor:
     """Checks every frame once; owned by the engine thread."""
 
     def __init__(self, limits: GateLimits) -> None:
         self._rate = _FrameRate(limits.min_fps)
         self._age = ModelAge(limits)
+        self._warm_up = WarmUp(limits)
         self._shift = PatientShift(limits)
         self._baseline = Baseline(limits)
         self._checks = Checks(limits)
@@ -177,6 +195,7 @@ class FrameSupervisor:
         ``window`` is the one that is in use.
         """
         found = (
+            self._warm_up.check(frame.received_ns),
             self._checks.check(measurement, has_reference=has_reference),
             self._rate.check(frame.received_ns),
             self._exhale_shape.check(measurement, has_reference=has_reference),

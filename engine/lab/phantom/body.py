@@ -18,6 +18,7 @@ Map = npt.NDArray[np.float32]
 # Lamp over the right shoulder: direction to it (x left, y inferior, h up), and the share of ambient light.
 _LAMP = np.array([-0.35, -0.30, 0.89])
 _AMBIENT = 0.42
+STRIPE_MM = 15.0
 
 
 class Material(IntEnum):
@@ -165,10 +166,12 @@ def _light(
 ) -> npt.NDArray[np.uint8]:
     palette = np.zeros((5, 3), np.float32)
     palette[Material.SHIRT] = anatomy.build.shirt_rgb
-    palette[Material.SKIN] = (214.0, 168.0, 142.0)
+    palette[Material.SKIN] = anatomy.build.skin_rgb
     palette[Material.HAIR] = (58.0, 46.0, 38.0)
     palette[Material.TROUSERS] = (78.0, 82.0, 96.0)
     albedo = palette[material]
+    if anatomy.build.stripe_rgb is not None:
+        albedo[(material == Material.SHIRT) & (y_mm % (2.0 * STRIPE_MM) < STRIPE_MM)] = anatomy.build.stripe_rgb
     _draw_spot(albedo, anatomy.button, x_mm, y_mm, (232.0, 230.0, 224.0))
     wrist = Spot(x_mm=anatomy.build.half_width_mm * 1.04 + 42.0, y_mm=205.0, radius_mm=16.0)
     _draw_spot(albedo, wrist, x_mm, y_mm, (236.0, 238.0, 240.0))

@@ -4,9 +4,25 @@ Body mass index follows the article's Table 1. Lengths are mm over the couch or 
 follows from these numbers (:mod:`engine.lab.phantom.anatomy`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from engine.core.bounds import check_number, check_whole_number
+from engine.core.errors import InvalidValueError
+
+SKINS = {
+    1: (243, 214, 195),
+    2: (231, 190, 161),
+    3: (214, 168, 142),
+    4: (172, 119, 86),
+    5: (120, 75, 51),
+    6: (71, 46, 36),
+}
+"""Colour of skin of the six types of Fitzpatrick, as a camera shows it; the volunteers' own is the third."""
+WHITE_RGB, BLACK_RGB, NAVY_RGB = (225, 226, 224), (22, 22, 24), (34, 40, 62)
+CLOTHING = ("white", "black", "striped", "bare")
+"""What covers the trunk in place of the volunteer's own shirt; ``bare`` is skin."""
+STICKERS = ("plain", "ringed")
+"""White discs, or the same discs on black ones of three times their diameter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +67,8 @@ class Build:
     depth_scale: float
     depth_offset_mm: float
     shirt_rgb: tuple[int, int, int]
+    stripe_rgb: tuple[int, int, int] | None
+    skin_rgb: tuple[int, int, int]
 
 
 _NAVY, _COAL, _GREEN, _WINE = (34, 40, 62), (44, 44, 48), (34, 54, 46), (62, 36, 44)
@@ -80,7 +98,12 @@ _NUMBERS = {
 # fmt: on
 _SHIRTS = (_NAVY, _COAL, _GREEN, _NAVY, _WINE, _COAL, _GREEN, _NAVY, _WINE, _COAL)
 BUILDS = tuple(
-    Build(**{field: values[column] for field, values in _NUMBERS.items()}, shirt_rgb=shirt)
+    Build(
+        **{field: values[column] for field, values in _NUMBERS.items()},
+        shirt_rgb=shirt,
+        stripe_rgb=None,
+        skin_rgb=SKINS[3],
+    )
     for column, shirt in enumerate(_SHIRTS)
 )
 
@@ -97,35 +120,75 @@ class Departure:
         Amplitude of the abdomen in free breathing.
     hole_share
         Share of the body, 0 to 1, without a reading, in patches in addition to the usual holes.
+    drift_mm
+        How far the readings of the cold camera are off at the chest when it starts; the drift fades as it warms up.
+    light
+        Light of the room, as a share of the usual; the camera's exposure follows, up to sixteen times.
+    shadow
+        Share of the light that the gantry takes where its shadow falls; its edge moves to and fro over the patient.
+    skin
+        Type of skin, 1 to 6, as in `SKINS`.
+    clothing
+        One of `CLOTHING`.
+    sticker
+        One of `STICKERS`.
     """
 
     camera_mm: float | None = None
     amplitude_mm: float | None = None
     hole_share: float | None = None
+    drift_mm: float | None = None
+    light: float | None = None
+    shadow: float | None = None
+    skin: int | None = None
+    clothing: str | None = None
+    sticker: str | None = None
 
     def __post_init__(self) -> None:
-        """Check the values against `DEPARTURE_BOUNDS`; raise InvalidValueError."""
+        """Check the values against `DEPARTURE_BOUNDS` and the names; raise InvalidValueError."""
         for field, (low, high) in DEPARTURE_BOUNDS.items():
             value = getattr(self, field)
             if value is not None:
                 check_number(field, value, low, high)
+        if self.skin is not None:
+            check_whole_number("skin", self.skin, 1, len(SKINS))
+        for field, names in (("clothing", CLOTHING), ("sticker", STICKERS)):
+            value = getattr(self, field)
+            if value is not None and value not in names:
+                raise InvalidValueError(field, value, "one of " + ", ".join(names))
 
     def of(self, build: Build) -> Build:
         """Return the volunteer's parameters with these changes."""
+        skin_rgb = build.skin_rgb if self.skin is None else SKINS[self.skin]
+        shirts = {"white": WHITE_RGB, "striped": WHITE_RGB, "black": BLACK_RGB, "bare": skin_rgb}
         return replace(
             build,
             camera_mm=build.camera_mm if self.camera_mm is None else float(self.camera_mm),
             amplitude_mm=build.amplitude_mm if self.amplitude_mm is None else float(self.amplitude_mm),
+            skin_rgb=skin_rgb,
+            shirt_rgb=shirts.get(self.clothing or "", build.shirt_rgb),
+            stripe_rgb=NAVY_RGB if self.clothing == "striped" else None,
         )
 
     @property
-    def labels(self) -> dict[str, float]:
+    def labels(self) -> dict[str, float | str]:
         """The changed parameters and their values, for a recording's truth."""
-        values = {field: getattr(self, field) for field in DEPARTURE_BOUNDS}
-        return {field: float(value) for field, value in values.items() if value is not None}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {
+            name: value if isinstance(value, str) else float(value)
+            for name, value in values.items()
+            if value is not None
+        }
 
 
-DEPARTURE_BOUNDS = {"camera_mm": (550.0, 1500.0), "amplitude_mm": (0.5, 60.0), "hole_share": (0.0, 0.9)}
+DEPARTURE_BOUNDS = {
+    "camera_mm": (550.0, 1500.0),
+    "amplitude_mm": (0.5, 60.0),
+    "hole_share": (0.0, 0.9),
+    "drift_mm": (-30.0, 30.0),
+    "light": (0.001, 1.0),
+    "shadow": (0.0, 1.0),
+}
 """Lowest and highest value of each departure; at a smaller distance the four stickers leave the picture."""
 
 NO_DEPARTURE = Departure()

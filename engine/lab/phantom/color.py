@@ -13,6 +13,7 @@ from engine.core.frames import ColorImage, FloatArray
 from engine.core.geometry import Intrinsics, RigidTransform
 from engine.lab.phantom.anatomy import BODY_HALF_MM, STICKER_RADIUS_MM
 from engine.lab.phantom.body import Map, blur
+from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.rig import HEIGHT_PX, WIDTH_PX
 from engine.lab.phantom.truth import Grid
 from engine.lab.phantom.view import Hit, Rays, View
@@ -20,6 +21,11 @@ from engine.lab.phantom.view import Hit, Rays, View
 BLUR_PX = 0.75
 STICKER_RGB = (238.0, 237.0, 232.0)
 NOISE_AT_WHITE = 3.2
+MOST_AMPLIFIED, READ_NOISE = 16.0, 0.25
+"""Largest gain of the camera, and noise of its electronics at a gain of 1 [grey levels]."""
+SHADOW_S, PENUMBRA_PX = 40.0, np.float32(60.0)
+"""Time in which the gantry's shadow comes and goes, and width of its edge."""
+RING_RADIUS_MM, RING_RGB = 32.0, (14.0, 14.0, 15.0)
 _SHEET_RGB, _FLOOR_RGB, _RAIL_RGB = (186.0, 191.0, 198.0), (98.0, 96.0, 92.0), (60.0, 62.0, 66.0)
 _MARGIN_PX = 96
 _PATCH_PX = 14
@@ -28,8 +34,10 @@ _PATCH_PX = 14
 class ColorCamera:
     """Exposure of the colour camera: uneven light and noise."""
 
-    def __init__(self, camera: Intrinsics, seed: int) -> None:
+    def __init__(self, camera: Intrinsics, seed: int, departure: Departure = NO_DEPARTURE) -> None:
         self._camera = camera
+        self._light = 1.0 if departure.light is None else float(departure.light)
+        self._shadow = np.float32(departure.shadow or 0.0)
         self._seed = seed
         columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float32), np.arange(HEIGHT_PX, dtype=np.float32))
         x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
@@ -40,14 +48,33 @@ class ColorCamera:
         size = (HEIGHT_PX + _MARGIN_PX, WIDTH_PX + _MARGIN_PX, 3)
         self._noise = rng.standard_normal(size, dtype=np.float32) * np.float32(NOISE_AT_WHITE / np.sqrt(255.0))
 
-    def expose(self, scene: npt.NDArray[np.uint8], frame: int) -> ColorImage:
-        """Apply uneven light and shot noise, which grows with the root of brightness, to a blurred scene."""
+    def expose(self, scene: npt.NDArray[np.uint8], frame: int, time_s: float = 0.0) -> ColorImage:
+        """Apply uneven light and shot noise, which grows with the root of brightness, to a blurred scene.
+
+        In a darker room the camera amplifies what it receives, and its noise with that.
+        """
         rng = np.random.default_rng((self._seed, 6, frame))
         top, left = (int(value) for value in rng.integers(0, _MARGIN_PX + 1, 2))
         light = cv2.multiply(scene, self._gain, dtype=cv2.CV_32F)
+        if self._shadow:
+            light = np.asarray(light * self._shade(time_s))
+        amplified = min(1.0 / self._light, MOST_AMPLIFIED)
+        if amplified > 1.0:
+            light = np.asarray(light * np.float32(self._light * amplified))
         field = self._noise[top : top + HEIGHT_PX, left : left + WIDTH_PX]
-        noise = cv2.multiply(cv2.sqrt(light), field, scale=float(rng.choice(np.array([-1.0, 1.0]))))
+        scale = float(rng.choice(np.array([-1.0, 1.0])) * np.sqrt(amplified))
+        noise = cv2.multiply(cv2.sqrt(light), field, scale=scale)
+        if amplified > 1.0:
+            dark = rng.standard_normal(light.shape, dtype=np.float32)
+            noise = np.asarray(noise + dark * np.float32(READ_NOISE * amplified))
         return np.asarray(cv2.add(light, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+
+    def _shade(self, time_s: float) -> Map:
+        """Share of the light that is left, shape (1, 640, 1): the gantry's shadow comes from the picture's left."""
+        share = abs(2.0 * ((time_s / SHADOW_S) % 1.0) - 1.0)
+        columns = np.arange(WIDTH_PX, dtype=np.float32)
+        inside = np.clip((np.float32(WIDTH_PX * (1.0 - share)) - columns) / PENUMBRA_PX, 0.0, 1.0)
+        return np.asarray((1.0 - self._shadow * inside)[None, :, None], dtype=np.float32)
 
 
 def paint_room(view: View, seed: int) -> npt.NDArray[np.uint8]:
@@ -97,8 +124,10 @@ def stick(
     centers_mm: Grid,
     slopes: Grid,
     light: FloatArray,
+    *,
+    is_ringed: bool = False,
 ) -> None:
-    """Draw stickers into a blurred scene.
+    """Draw stickers into a blurred scene, ``is_ringed`` on black discs.
 
     Parameters
     ----------
@@ -109,22 +138,26 @@ def stick(
     light
         Brightness of each, shape (n,).
     """
+    disc = (STICKER_RADIUS_MM, STICKER_RGB)
+    discs = ((RING_RADIUS_MM, RING_RGB), disc) if is_ringed else (disc,)
+    reach = 3 * _PATCH_PX if is_ringed else _PATCH_PX
     centers_px = camera.project(camera_from_body.apply(centers_mm))
     for center_px, center_mm, slope, level in zip(centers_px, centers_mm, slopes, light, strict=True):
-        left, top = (int(value) for value in np.rint(center_px).astype(int) - _PATCH_PX)
-        if not (0 <= left < camera.width - 2 * _PATCH_PX and 0 <= top < camera.height - 2 * _PATCH_PX):
+        left, top = (int(value) for value in np.rint(center_px).astype(int) - reach)
+        if not (0 <= left < camera.width - 2 * reach and 0 <= top < camera.height - 2 * reach):
             continue
-        window = slice(top, top + 2 * _PATCH_PX + 1), slice(left, left + 2 * _PATCH_PX + 1)
-        directions = np.stack(
-            [rays.x[window], rays.y[window], np.ones((2 * _PATCH_PX + 1, 2 * _PATCH_PX + 1))], axis=-1
-        )
-        coverage = _coverage(directions, camera_from_body, center_mm, slope)[..., None]
-        patch = scene[window]
-        mixed = patch * (1.0 - coverage) + np.array(STICKER_RGB) * level * coverage
-        scene[window] = np.rint(np.clip(mixed, 0.0, 255.0)).astype(np.uint8)
+        window = slice(top, top + 2 * reach + 1), slice(left, left + 2 * reach + 1)
+        directions = np.stack([rays.x[window], rays.y[window], np.ones((2 * reach + 1, 2 * reach + 1))], axis=-1)
+        for radius_mm, rgb in discs:
+            coverage = _coverage(directions, camera_from_body, center_mm, slope, radius_mm)[..., None]
+            patch = scene[window]
+            mixed = patch * (1.0 - coverage) + np.array(rgb) * level * coverage
+            scene[window] = np.rint(np.clip(mixed, 0.0, 255.0)).astype(np.uint8)
 
 
-def _coverage(directions: Grid, camera_from_body: RigidTransform, center_mm: Grid, slope: Grid) -> Grid:
+def _coverage(
+    directions: Grid, camera_from_body: RigidTransform, center_mm: Grid, slope: Grid, radius_mm: float
+) -> Grid:
     """Share of each pixel that a tilted disc covers, shape (h, w), from the pixels' rays, shape (h, w, 3)."""
     center = camera_from_body.apply(center_mm[None])[0]
     # The skin's normal in the body frame (z down) is (slope_x, slope_y, 1), up to its sign and length.
@@ -134,5 +167,5 @@ def _coverage(directions: Grid, camera_from_body: RigidTransform, center_mm: Gri
     down, right = np.gradient(away_mm)
     mm_per_px = np.maximum(np.hypot(down, right), 0.2)
     # The gradient of a distance is undefined at the centre; pixels near it are fully covered.
-    inside_px = np.where(away_mm < 0.5 * STICKER_RADIUS_MM, 10.0, (STICKER_RADIUS_MM - away_mm) / mm_per_px)
+    inside_px = np.where(away_mm < 0.5 * radius_mm, 10.0, (radius_mm - away_mm) / mm_per_px)
     return np.asarray(ndtr(inside_px / np.hypot(BLUR_PX, np.sqrt(1.0 / 12.0))))

@@ -304,16 +304,18 @@ class Unit:
 
     scale: float
     offset_mm: float
+    drift_mm: float = 0.0
 
     @classmethod
-    def of(cls, build: Build) -> "Unit":
-        """Return the unit that a volunteer was recorded with."""
-        return cls(scale=build.depth_scale, offset_mm=build.depth_offset_mm)
+    def of(cls, build: Build, drift_mm: float | None = None) -> "Unit":
+        """Return the unit that a volunteer was recorded with, which reads ``drift_mm`` more when it starts [mm]."""
+        return cls(scale=build.depth_scale, offset_mm=build.depth_offset_mm, drift_mm=drift_mm or 0.0)
 
     def reading_scale(self, time_s: float) -> tuple[float, float]:
         """Return (a, b) of ``reading = a * z + b`` at this time after switching on."""
-        warm = 1.0 + WARM_UP_SHARE * float(np.exp(-time_s / WARM_UP_S))
-        return warm / self.scale, -warm * self.offset_mm / self.scale
+        cold = float(np.exp(-time_s / WARM_UP_S))
+        warm = 1.0 + WARM_UP_SHARE * cold
+        return warm / self.scale, self.drift_mm * cold - warm * self.offset_mm / self.scale
 
 
 class Sensor:

@@ -56,8 +56,8 @@ class Studio:
         scene = Scene(script)
         self.scene = scene
         self._body = sample_body(scene.anatomy)
-        self._sensor = Sensor(Unit.of(scene.anatomy.build), script.seed, script.sensor)
-        self._color_camera = ColorCamera(scene.rig.color, script.seed)
+        self._sensor = Sensor(Unit.of(scene.anatomy.build, script.departure.drift_mm), script.seed, script.sensor)
+        self._color_camera = ColorCamera(scene.rig.color, script.seed, script.departure)
         self._laser = (
             LaserLight(hang_laser(scene.anatomy, scene.rig, script.volunteer), scene.color_rays, script.seed)
             if script.has_laser
@@ -113,6 +113,7 @@ class Studio:
             anchors,
             self._sticker_slopes,
             self._sticker_light(),
+            is_ringed=self.scene.script.departure.sticker == "ringed",
         )
         if self._costal is not None:
             centers_mm = self._costal.centers_mm(weights)
@@ -123,7 +124,7 @@ class Studio:
         for thing in self._occluders(time_s):
             drawn = occluders.draw(thing, self.scene.rig.color, self.scene.rig.color_from_couch)
             picture = occluders.cover_color(picture, drawn, thing)
-        exposed = self._color_camera.expose(picture, frame)
+        exposed = self._color_camera.expose(picture, frame, time_s)
         fault, _ = self._camera_fault(time_s)
         return exposed if fault is None else fault.color(exposed)
 

@@ -42,6 +42,10 @@ MIN_SLOPE = 0.1
 MIN_STIFFNESS = 1e-5
 CHECK_CELL_PX = 25
 CHECK_MIN_SHARE = 0.4
+# Limits on the residual are for sensors whose noise, in the mean of a cell, is at most this. The largest of a hundred
+# cells lies at six times its noise in a frame of a hundred: what a noisier sensor adds is taken off, up to a bound.
+USUAL_CELL_NOISE_MM, MOST_CELL_NOISE_MM = 0.3, 0.9
+LARGEST_OF_CELLS = 7.0
 # Limits the effect of a single jump on a cell's mean misfit; a hand shifts all readings of a cell.
 CHECK_CLIP_MM = np.float32(12.0)
 
@@ -71,6 +75,8 @@ class Basis:
         Largest motion that a unit of each coefficient makes anywhere [mm], shape (k + e,).
     known_gram
         Products of the modes over all known pixels, shape (k + e, k + e), float64.
+    noise_residual_mm
+        What the noise of this sensor adds to the residual of a usual one [mm].
     """
 
     components: int
@@ -85,6 +91,7 @@ class Basis:
     variance_mm2: float
     reach: FloatArray
     known_gram: FloatArray
+    noise_residual_mm: float
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -139,7 +146,14 @@ def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
         variance_mm2=variance_mm2,
         reach=np.abs(sampled).max(axis=1).astype(np.float64),
         known_gram=exact @ exact.T,
+        noise_residual_mm=_noise_residual_mm(model.noise_mm),
     )
+
+
+def _noise_residual_mm(noise_mm: float) -> float:
+    """Return what noise beyond the usual adds to the largest mean misfit of a cell [mm]."""
+    cell_mm = min(noise_mm / CHECK_CELL_PX, MOST_CELL_NOISE_MM)
+    return LARGEST_OF_CELLS * max(cell_mm - USUAL_CELL_NOISE_MM, 0.0)
 
 
 def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
@@ -169,7 +183,7 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
-        residual_mm=residual_mm,
+        residual_mm=max(residual_mm - basis.noise_residual_mm, 0.0),
         valid_share=seen / max(known, 1.0),
         inlier_share=inliers / seen,
         is_seen=is_seen,
@@ -230,7 +244,7 @@ def _project(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projecti
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
-        residual_mm=_largest_cell_misfit(misfit, inside),
+        residual_mm=max(_largest_cell_misfit(misfit, inside) - basis.noise_residual_mm, 0.0),
         valid_share=seen / max(int(np.count_nonzero(basis.sampled_known)), 1),
         inlier_share=int(np.count_nonzero(is_seen)) / seen,
         is_seen=is_seen.reshape(SAMPLED_SHAPE),

@@ -20,6 +20,7 @@ from service.cli.terminal import NoBar, advance, frame_bar, refused, say
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from engine.lab.evaluation.integrity.cases import Case
     from engine.lab.evaluation.table import Table
 
 WIDTH = 200
@@ -39,9 +40,15 @@ def integrity(
     jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
     sensor: Annotated[
         list[str] | None,
-        typer.Option(help="Model of the sensor's errors: usual, locking; both by default."),
+        typer.Option(
+            help="Sensor, by its errors: usual, locking, active-stereo or time-of-flight; the first two by default."
+        ),
     ] = None,
     *,
+    is_conditions: Annotated[
+        bool,
+        typer.Option("--conditions", help="Not false: dim light, shadow, skin, clothing, stickers and a cold camera."),
+    ] = False,
     is_slow: Annotated[
         bool, typer.Option("--slow", help="Add what takes longer: moves over a minute, a half that rises slowly.")
     ] = False,
@@ -58,7 +65,9 @@ def integrity(
     try:
         if out.exists() and not out.is_dir():
             raise InvalidValueError("out", str(out), "a folder")
-        tables = _judged(volunteer or [3, 6], kind or [], sensor or [], seed=seed, jobs=workers, is_slow=is_slow)
+        chosen = _chosen(kind or [], is_slow=is_slow, is_conditions=is_conditions)
+        name = "conditions" if is_conditions else "integrity"
+        tables = _judged(chosen, volunteer or [3, 6], sensor or [], seed=seed, jobs=workers, name=name)
         out.mkdir(parents=True, exist_ok=True)
         for table in tables:
             write_whole(out / f"{table.name}.csv", table.to_csv().encode())
@@ -79,27 +88,34 @@ def _count(bar: "Progress | NoBar", task: "TaskID", done: int) -> None:
     bar.update(task, completed=done)
 
 
+def _chosen(kinds: list[str], *, is_slow: bool, is_conditions: bool) -> "list[Case]":
+    """Return the cases whose name has one of the texts; raise InvalidValueError where there is none."""
+    from engine.lab.evaluation.integrity.cases import cases, conditions
+
+    offered = conditions() if is_conditions else cases(is_slow=is_slow)
+    chosen = [case for case in offered if not kinds or any(text in case.name for text in kinds)]
+    if not chosen:
+        raise InvalidValueError("kind", ", ".join(kinds), "a part of the name of a case, such as sheet")
+    return chosen
+
+
 def _judged(
-    volunteers: list[int], kinds: list[str], sensors: list[str], *, seed: int, jobs: int, is_slow: bool
+    chosen: "list[Case]", volunteers: list[int], sensors: list[str], *, seed: int, jobs: int, name: str
 ) -> "list[Table]":
-    """Run the chosen cases on each sensor; raise InvalidValueError naming the field that is out of bounds."""
+    """Run the cases on each sensor; raise InvalidValueError naming the field that is out of bounds."""
     from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, jobs_of, run_all
-    from engine.lab.evaluation.integrity.cases import cases
     from engine.lab.phantom.sensor import BENCHED, find_sensor
 
     check_plan(volunteers, seed, jobs)
-    for name in sensors:
-        find_sensor(name)
-    chosen = [case for case in cases(is_slow=is_slow) if not kinds or any(text in case.name for text in kinds)]
-    if not chosen:
-        raise InvalidValueError("kind", ", ".join(kinds), "a part of the name of a case, such as sheet")
+    for sensor in sensors:
+        find_sensor(sensor)
     tables = []
-    for name in dict.fromkeys(sensors or BENCHED):
+    for sensor in dict.fromkeys(sensors or BENCHED):
         with frame_bar() as bar:
-            task = bar.add_task(f"recordings, sensor {name}", total=jobs_of(chosen, volunteers))
+            task = bar.add_task(f"recordings, sensor {sensor}", total=jobs_of(chosen, volunteers))
             count = partial(_count, bar, task)
-            sessions = run_all(chosen, volunteers, seed=seed, jobs=jobs, sensor=name, on_done=count)
-        tables.append(integrity_table(sessions, name))
+            sessions = run_all(chosen, volunteers, seed=seed, jobs=jobs, sensor=sensor, on_done=count)
+        tables.append(integrity_table(sessions, sensor, name))
     return tables
 
 

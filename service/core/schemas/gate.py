@@ -72,7 +72,7 @@ class InterlockSetting(Answer):
 
     name: str = Field(examples=["max_latency_ms"])
     variable: str = Field(description="Name of the environment variable", examples=["TIDEGATE_MAX_LATENCY_MS"])
-    value: float | bool | list[str]
+    value: float | bool | list[str] | None = Field(description="Null where the kind of the camera decides")
     low: float | None = Field(description="Lowest permitted value; null if the setting is not a number")
     high: float | None = Field(description="Highest permitted value; null if the setting is not a number")
 

@@ -348,6 +348,9 @@ class LiveCameraView(Message):
     brightness: float = Field(description="Mean of the colour picture, 0 to 1")
     saturated: float = Field(description="Share of overexposed colour pixels, 0 to 1")
     running_s: float = Field(description="Time since the first frame of the session")
+    warm_in_s: float = Field(
+        description="How long the camera still has to run until the beam may be on; 0 where it is warm"
+    )
     advice: list[CameraAdviceName] = Field(
         description="What lies outside of the recommended ranges; nothing is refused"
     )

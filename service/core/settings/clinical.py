@@ -99,6 +99,7 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "min_inlier_share": ClinicalBound(low=0.6, high=1.0, reason=EVALUATED),
     "min_signal_share": ClinicalBound(low=0.7, high=1.0, reason=EVALUATED),
     "min_wide_share": ClinicalBound(low=0.9, high=1.0, reason=EVALUATED),
+    "warm_up_min": ClinicalBound(low=5.0, high=240.0, reason="no kind of camera was seen to be steady earlier"),
     "max_model_age_min": ClinicalBound(low=1.0, high=240.0, reason="the default: longer than a fraction"),
     "min_phase_confidence": ClinicalBound(
         low=0.6, high=1.0, reason="the default: the phase is compared with the patient's breaths"
@@ -170,6 +171,7 @@ EXEMPT: Mapping[str, str] = {
     "sample_batch_ms": "the engine holds after max_unwritten_ms",
     "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
     "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
+    "keep_warm_min": "a camera that was off for longer waits for warm_up_min again",
     "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
     "audit_clock_jump_ms": NO_BEAM,
     "beam_notify_timeout_s": "a status message to other systems, which is no permit",
@@ -268,7 +270,7 @@ def _lines(settings: BeamSettings, holding_events: Iterable[BreathEventKind]) ->
     yield from _event_lines(holding_events)
     for name, bound in CLINICAL_BOUNDS.items():
         value = getattr(settings, name)
-        if not bound.low - NEGLIGIBLE <= value <= bound.high + NEGLIGIBLE:
+        if value is not None and not bound.low - NEGLIGIBLE <= value <= bound.high + NEGLIGIBLE:
             yield f"{setting_name(name)} is {value:g}: must be {bound.text} ({bound.reason})"
 
 

@@ -174,6 +174,28 @@ class RoomSettings(BaseSettings):
     )
 
 
+# Settings of the camera itself.
+
+
+class CameraSettings(BaseSettings):
+    """How long the room's camera runs; see docs/3-operate/cameras.md."""
+
+    warm_up_min: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=240.0,
+        description="How long a cold camera runs before the beam may be on; by default its kind's: 15 structured "
+        "light, 30 active stereo, 45 time of flight. A camera that stops cools down as fast",
+    )
+    keep_warm_min: float = Field(
+        default=60.0,
+        ge=0.0,
+        le=1_440.0,
+        description="How long after a session the camera goes on running, so that the next one need not wait; its "
+        "pictures are dropped. 0 stops it with the session",
+    )
+
+
 # Settings of raw recordings.
 
 

@@ -31,6 +31,7 @@ from service.core.settings.clinical import refusals
 from service.core.settings.config_file import SettingsError, config_path, read_config, unknown_variables
 from service.core.settings.groups import (
     AuditSettings,
+    CameraSettings,
     ConnectionSettings,
     ContractSettings,
     DatabaseSettings,
@@ -92,6 +93,7 @@ class Settings(
     ConnectionSettings,
     MonitoringSettings,
     RoomSettings,
+    CameraSettings,
 ):
     """The site's settings."""
 

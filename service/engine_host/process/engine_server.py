@@ -330,6 +330,7 @@ def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPa
     gc.collect()
     gc.freeze()
     bulk.send(Ready())
+    adapter.stand_by()
     request = _await_open(adapter, bulk)
     install_private_log(
         settings.log_level,

@@ -3,6 +3,7 @@
 The newest frame's surface as a mesh, computed in the service on request, never in the engine.
 """
 
+import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -165,6 +166,7 @@ def _camera_view(found: CameraView | None) -> LiveCameraView | None:
         brightness=round(found.brightness, 2),
         saturated=round(found.saturated, 3),
         running_s=round(found.running_s),
+        warm_in_s=math.ceil(found.warm_in_s),
         advice=[advice.value for advice in found.advice],
     )
 

@@ -57,6 +57,7 @@ SETTINGS = {
     "LIKENESS_SECONDS": 2.0,
     "LIKENESS_MAX_SHIFT_MM": 60.0,
     "MAX_DUTY_PERCENT": 100,
+    "WARM_UP_MIN": 0,
 }
 """All else as it comes: the campaign judges the defaults. The beam may be on during the whole breath, so that it is on
 when a fault comes."""

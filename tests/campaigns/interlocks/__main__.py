@@ -4,7 +4,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.campaigns.interlocks.live_run import is_ever_on_without_calibration, rows, run_all
+from tests.campaigns.interlocks.live_run import NEVER_ON, is_ever_on, rows, run_all
 from tests.campaigns.interlocks.trips import TRIPS
 
 HEAD = ("interlock", "is a", "tripped by", "line", "ms to off", "came back")
@@ -12,10 +12,9 @@ HEAD = ("interlock", "is a", "tripped by", "line", "ms to off", "came back")
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        never_on = not is_ever_on_without_calibration(Path(folder))
+        never_on = [reason for reason in NEVER_ON if not is_ever_on(Path(folder), reason)]
         table = [HEAD, *rows(run_all(Path(folder), TRIPS))]
-    if never_on:
-        table.append(("calibration_missing", "hold", "a camera never calibrated is armed", "never on", "-", "-"))
+    table += [(reason, "hold", NEVER_ON[reason][0], "never on", "-", "-") for reason in never_on]
     widths = [max(len(row[column]) for row in table) for column in range(len(HEAD))]
     for row in table:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))

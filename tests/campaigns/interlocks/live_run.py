@@ -203,12 +203,19 @@ def run_all(folder: Path, trips: tuple[Trip, ...]) -> list[Outcome]:
         return outcomes + [one for other in others for one in other.result()]
 
 
-def is_ever_on_without_calibration(folder: Path) -> bool:
-    """Arm an engine whose camera was never calibrated, and see whether its line ever goes on."""
-    with far_line(folder / "uncalibrated") as line:
-        with LiveRun(line, folder / "uncalibrated", replace(LIMITS, is_calibrated=False)) as run:
+NEVER_ON = {
+    HoldReason.CALIBRATION_MISSING: ("a camera never calibrated is armed", replace(LIMITS, is_calibrated=False)),
+    HoldReason.CAMERA_WARMING: ("a cold camera is armed", replace(LIMITS, warm_up_s=900.0)),
+}
+"""What is so from the first frame on."""
+
+
+def is_ever_on(folder: Path, reason: HoldReason) -> bool:
+    """Arm an engine that has one of `NEVER_ON`, and see whether its line ever goes on."""
+    with far_line(folder / reason) as line:
+        with LiveRun(line, folder / reason, NEVER_ON[reason][1]) as run:
             run.frames(3)
-            while run.loop.gate.reason is not HoldReason.CALIBRATION_MISSING:  # a busy machine's own reasons pass
+            while run.loop.gate.reason is not reason:  # a busy machine's own reasons pass
                 run.arm()
                 run.frames(3)
             run.frames(30)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import pytest
 
 from engine.core.gate_state import INTERLOCKS, HoldReason
-from tests.campaigns.interlocks.live_run import Outcome, is_ever_on_without_calibration, run_all
+from tests.campaigns.interlocks.live_run import NEVER_ON, Outcome, is_ever_on, run_all
 from tests.campaigns.interlocks.trips import TRIPS
 from tests.support.beam.datagram_receiver import MAX_TRANSIT_NS
 from tests.support.gating.streams import MS
@@ -13,7 +13,7 @@ from tests.support.gating.streams import MS
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.alone]
 
 BY_ITSELF, BY_A_PERSON, NEVER = "by itself, after the dwell", "acknowledged and armed", "in a new session"
-CANNOT_BE_TRIPPED = {HoldReason.UNKNOWN, HoldReason.CALIBRATION_MISSING, HoldReason.HEAD_DIRECTION_MISSING}
+CANNOT_BE_TRIPPED = {HoldReason.UNKNOWN, *NEVER_ON, HoldReason.HEAD_DIRECTION_MISSING}
 """What has no cause that is known, and what is so from the first frame on: the latter have tests of their own, here and
 in tests/engine/control/test_head_direction.py."""
 
@@ -51,5 +51,6 @@ def test_an_engine_that_hangs_is_taken_off_by_the_line_itself(outcomes):
     assert outcomes[HoldReason.FRAME_STALE].off.kind == "lapsed"
 
 
-def test_a_camera_that_was_never_calibrated_never_has_a_beam(tmp_path):
-    assert not is_ever_on_without_calibration(tmp_path)
+@pytest.mark.parametrize("reason", NEVER_ON)
+def test_a_camera_that_was_never_calibrated_or_is_cold_never_has_a_beam(tmp_path, reason):
+    assert not is_ever_on(tmp_path, reason)

@@ -10,6 +10,7 @@ from engine.calibration.camera_view import PERIOD_NS, CameraViewMeter, camera_vi
 from engine.core.frames import RgbdFrame
 from engine.core.geometry import Intrinsics
 from engine.core.position_check import CameraAdvice
+from engine.core.warmth import Warmth
 
 DEPTH = Intrinsics(width=640, height=480, fx=570.0, fy=570.0, cx=319.5, cy=239.5)
 GREY = np.full((480, 640, 3), 120, np.uint8)
@@ -29,8 +30,8 @@ def frame(depth_mm=None, color=GREY, at_s=0.0):
     return RgbdFrame(index=0, device_index=0, depth_mm=depth_mm, color=color, **stamps)
 
 
-def seen(depth_mm=None, color=GREY, *, running_s=0.0, warm_up_s=0.0):
-    return camera_view(frame(depth_mm, color), DEPTH, running_s=running_s, warm_up_s=warm_up_s)
+def seen(depth_mm=None, color=GREY, *, warm_in_s=0.0):
+    return camera_view(frame(depth_mm, color), DEPTH, running_s=0.0, warm_in_s=warm_in_s)
 
 
 @pytest.mark.parametrize("distance_mm", [700.0, 1100.0])
@@ -81,18 +82,22 @@ def test_light_is_judged():
     assert seen().brightness == pytest.approx(120 / 255)
 
 
-def test_only_a_live_camera_warms_up():
-    assert seen(running_s=899.0, warm_up_s=900.0).advice == (CameraAdvice.WARMING_UP,)
-    assert seen(running_s=900.0, warm_up_s=900.0).advice == ()
-    assert seen(running_s=0.0).advice == ()
+def test_a_camera_that_is_not_warm_yet_says_for_how_long():
+    found = seen(warm_in_s=0.5)
+    assert (found.advice, found.warm_in_s) == ((CameraAdvice.WARMING_UP,), 0.5)
+    assert seen().advice == ()
 
 
 def test_a_frame_is_looked_at_once_a_second():
-    meter = CameraViewMeter(DEPTH, warm_up_s=900.0)
+    warmth = Warmth(900.0)
+    meter = CameraViewMeter(DEPTH, warmth)
     first = meter.look(frame(at_s=0.0))
     assert meter.look(frame(plane_mm(1300), at_s=0.99)) is first
     later = meter.look(frame(plane_mm(1300), at_s=PERIOD_NS / 1e9))
     assert (later.distance_mm, later.running_s) == (1300.0, 1.0)
+    assert (later.warm_in_s, later.advice[-1]) == (pytest.approx(900.0), CameraAdvice.WARMING_UP)
+    warmth.run(901.0)
+    assert CameraAdvice.WARMING_UP not in meter.look(frame(at_s=2.0)).advice
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(48, 64), (240, 320), (480, 640), (7, 9), (1, 1)]), st.floats(0, 1))
@@ -100,6 +105,6 @@ def test_arbitrary_pictures_never_fail(seed, shape, share):
     rng = np.random.default_rng(seed)
     depth_mm = np.where(rng.random(shape) < share, rng.integers(0, 65536, shape), 0).astype(np.uint16)
     color = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
-    found = camera_view(frame(depth_mm, color), DEPTH, running_s=0.0, warm_up_s=900.0)
+    found = camera_view(frame(depth_mm, color), DEPTH, running_s=0.0, warm_in_s=900.0)
     assert 0.0 <= found.coverage <= 1.0
     assert math.isnan(found.tilt_deg) or 0.0 <= found.tilt_deg <= 90.0

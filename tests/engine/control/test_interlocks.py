@@ -8,6 +8,7 @@ from engine.core.commands import Acknowledge, Arm, SetReference
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningEvent, LearningEventKind
+from engine.core.warmth import Warmth
 from tests.support.control.armed_bench import ARM, LEARNED, ON, lying_at, on_bench
 from tests.support.control.loop_bench import DEPTH, DESCRIPTION, Bench, after, good
 from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, MEASURING_NS, MS, PERIOD_NS, motion_of
@@ -164,6 +165,19 @@ def test_a_camera_that_was_never_calibrated_is_armed_but_never_permitted():
     assert seen_of(records[LEARNED + 1 :]) == {(GateState.HOLD, HoldReason.CALIBRATION_MISSING, False)}
 
 
+def test_a_cold_camera_is_armed_and_permitted_as_soon_as_it_is_warm():
+    limits = replace(LIMITS, warm_up_s=600.0, cold_share=0.101)  # 2.6 s are left
+    bench = on_bench([good] * 120, limits=limits)
+    records = bench.run().records()
+    left_s = Warmth(600.0, 0.101).left_s
+    first_ns = records[0].received_ns
+    cold = [record for record in records if record.received_ns - first_ns < left_s * 1e9]
+    assert not any(record.line_on for record in cold)
+    assert seen_of(cold[LEARNED + 1 :]) == {(GateState.HOLD, HoldReason.CAMERA_WARMING, False)}
+    after = records[len(cold) + FRAMES_A_DWELL]
+    assert (after.line_on, after.received_ns - first_ns < (left_s + 1.0) * 1e9) == (True, True)
+
+
 def test_a_command_that_is_sent_too_late_faults_and_the_line_is_held_at_once():
     bench = live(on_bench([good] * 5, limits=replace(LIMITS, max_latency_ms=100.0, max_frame_age_ms=90.0)))
     slow = ON + 2
@@ -261,6 +275,7 @@ def test_a_device_clock_that_jumps_ahead_faults_a_live_camera():
     ("limits", "reason"),
     [
         ({"is_calibrated": False}, HoldReason.CALIBRATION_MISSING),
+        ({"warm_up_s": 900.0}, HoldReason.CAMERA_WARMING),
         ({"max_model_age_min": 1.0}, HoldReason.MODEL_OLD),
     ],
     ids=str,

@@ -19,7 +19,14 @@ from tests.support.control.loop_bench import after, good, silent
 from tests.support.gating.streams import LIMITS, PERIOD_NS, unmeasured
 
 SEEN = CameraView(
-    distance_mm=850.0, tilt_deg=2.0, coverage=1.0, brightness=0.5, saturated=0.0, running_s=0.0, advice=()
+    distance_mm=850.0,
+    tilt_deg=2.0,
+    coverage=1.0,
+    brightness=0.5,
+    saturated=0.0,
+    running_s=0.0,
+    warm_in_s=0.0,
+    advice=(),
 )
 
 

@@ -25,8 +25,9 @@ def bound_table() -> str:
 def _row(name: str) -> str:
     field, bound = Settings.model_fields[name], CLINICAL_BOUNDS[name]
     research = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
-    is_usable = bound.low <= field.default <= bound.high
-    default = f"{field.default:g}" if is_usable else f"**{field.default:g}**"
+    is_usable = field.default is None or bound.low <= field.default <= bound.high
+    value = "by kind" if field.default is None else f"{field.default:g}"
+    default = value if is_usable else f"**{value}**"
     wide = f"{research['ge']:g} to {research['le']:g}"
     return f"| `{setting_name(name)}` | {default} | {wide} | {bound.text} | {bound.reason} |"
 

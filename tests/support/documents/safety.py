@@ -53,7 +53,8 @@ def _bound(name: str) -> str:
     if isinstance(field.default, bool):
         return f"{setting}: {str(field.default).lower()}"
     bounds = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
-    return f"{setting}: {field.default:g}, {bounds['ge']:g} to {bounds['le']:g}"
+    default = "by kind" if field.default is None else f"{field.default:g}"
+    return f"{setting}: {default}, {bounds['ge']:g} to {bounds['le']:g}"
 
 
 MADE = {"transitions": transition_table, "reasons": reason_lists, "interlocks": interlock_table}

@@ -18,6 +18,7 @@ VIEW = {
     "brightness": 0.44,
     "saturated": 0.0,
     "running_s": 1240.0,
+    "warm_in_s": 0.0,
 }
 DISARMED = {"is_armed": False, "gate": "disarmed", "hold_reason": "disarmed", "camera_view": VIEW | {"advice": []}}
 NO_MOTION = {"signal_mm": None, "whole_mm": None, "thorax_mm": None, "abdomen_mm": None, "volume_l": None}

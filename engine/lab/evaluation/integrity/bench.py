@@ -22,7 +22,7 @@ from engine.core.signals import HeadDirection
 from engine.lab.evaluation.integrity.cases import FALSE_S, Case
 from engine.lab.evaluation.integrity.session import FPS, WRONG_MM, Session, Volunteer, learn, run
 from engine.lab.evaluation.table import Table
-from engine.lab.phantom.builds import find_build
+from engine.lab.phantom.builds import NO_DEPARTURE, Departure, find_build
 from engine.lab.phantom.sensor import USUAL
 
 T = TypeVar("T")
@@ -66,9 +66,18 @@ def run_all(
     try:
         learned = _collect(
             [
-                partial(learn, volunteer, seed, is_turned=is_turned, sensor=sensor, head_direction=head)
+                partial(
+                    learn,
+                    volunteer,
+                    seed,
+                    is_turned=is_turned,
+                    sensor=sensor,
+                    head_direction=head,
+                    departure=departure,
+                    must_learn=departure == NO_DEPARTURE,
+                )
                 for volunteer in volunteers
-                for is_turned, head in poses
+                for is_turned, head, departure in poses
             ],
             pool,
             on_done,
@@ -109,15 +118,16 @@ def jobs_of(cases: Sequence[Case], volunteers: Sequence[int]) -> int:
     return len(volunteers) * (len({_pose(case) for case in cases}) + len(cases))
 
 
-def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None]:
-    """Return how the patient lies, and what of it was given: each needs a model of its own."""
-    return of.is_turned, of.head_direction
+def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None, Departure]:
+    """Return how the patient lies, what of it was given, and under which light: each needs a model of its own."""
+    return of.is_turned, of.head_direction, of.departure
 
 
 def _fitting(learned: Sequence[Volunteer], case: Case) -> list[Volunteer]:
     return [volunteer for volunteer in learned if _pose(volunteer) == _pose(case)]
 
 
+TITLES = {"integrity": "Falsified recordings", "conditions": "Light, skin, clothing and a cold camera"}
 LONGEST_WRONG_S = 0.5
 LONGEST_UNNAMED_S = 1.0
 LEAST_HONEST_PERCENT = 99.0
@@ -181,8 +191,10 @@ def verdict(sessions: Sequence[Session]) -> Verdict:
     )
 
 
-def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> Table:
-    """Make the table of a sensor; a row fails where an error above 1 mm stands as measured for longer than 0.5 s.
+def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL, name: str = "integrity") -> Table:
+    """Make the table of a sensor, ``name`` for its file.
+
+    A row fails where an error above 1 mm stands as measured for longer than 0.5 s.
 
     A rigid move fails where it is not named within a second, an honest recording where more than 1 % is lost.
     """
@@ -209,8 +221,8 @@ def integrity_table(cases: Sequence[Sequence[Session]], sensor: str = USUAL) -> 
             )
         )
     return Table(
-        name=f"integrity_{sensor}",
-        title=f"Falsified recordings, sensor {sensor}",
+        name=f"{name}_{sensor}",
+        title=f"{TITLES[name]}, sensor {sensor}",
         columns=(
             "kind",
             "size",

@@ -8,6 +8,7 @@ from engine.core.errors import InvalidValueError
 from engine.core.frames import LostReason
 from engine.core.gate_state import HoldReason
 from engine.core.signals import HeadDirection
+from engine.lab.phantom.builds import CLOTHING, NO_DEPARTURE, SKINS, STICKERS, Departure
 from engine.lab.phantom.falsifications import (
     BLACK_RGB,
     Blind,
@@ -36,6 +37,7 @@ HONEST = "honest"
 HONEST_BREATHING_S = 40.0
 """Long enough for a breath hold, or an isovolume manoeuvre [s]."""
 SLOW_S = 60.0
+CONDITION_S, COLD_S = 20.0, 180.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +61,14 @@ class Case:
     causes
         The codes of losses and holds that name it, `POSITION` for a reported movement of the patient; empty where
         nothing is to be named.
+    departure
+        Light, skin, clothing or a cold camera, from the beginning: the model is learned under it.
     scenario
         How the patient breathes; the model is learned from regular breathing in any case.
     hazard
         The hazard of docs/2-clinical/hazards.md that it tries; empty for an honest recording.
+    is_condition
+        Whether nothing is false, but room or patient are others than usual.
     """
 
     kind: str
@@ -74,12 +80,14 @@ class Case:
     head_direction: HeadDirection | None = HeadDirection.TOP
     causes: tuple[str, ...] = ()
     scenario: str = "regular"
+    departure: Departure = NO_DEPARTURE
     hazard: str = ""
+    is_condition: bool = False
 
     @property
     def is_honest(self) -> bool:
         """Whether nothing is false: then no frame may be lost."""
-        return self.kind == HONEST
+        return self.kind == HONEST or self.is_condition
 
     @property
     def name(self) -> str:
@@ -111,6 +119,40 @@ def cases(*, is_slow: bool = False) -> list[Case]:
         for make in yielded
         for case in make()
     ]
+
+
+def conditions() -> list[Case]:
+    """Return honest recordings under the light, skin and clothing that rooms and patients have, and a cold camera."""
+    found = [("usual", "-", NO_DEPARTURE)]
+    found += [("room light", f"1/{share}", Departure(light=1.0 / share)) for share in (4, 16, 64, 256)]
+    found += [("gantry's shadow", f"{share:.0%}", Departure(shadow=share)) for share in (0.5, 0.8, 0.95)]
+    for sticker in STICKERS:
+        found += [
+            (f"bare skin, {sticker} stickers", f"type {skin}", Departure(clothing="bare", skin=skin, sticker=sticker))
+            for skin in SKINS
+        ]
+        found += [
+            (f"{clothing} shirt, {sticker} stickers", "-", Departure(clothing=clothing, sticker=sticker))
+            for clothing in CLOTHING
+            if clothing != "bare"
+        ]
+    made = [
+        Case(kind=kind, size=size, falsification=_false(), departure=one, seconds=CONDITION_S, is_condition=True)
+        for kind, size, one in found
+    ]
+    cold = [
+        Case(
+            kind="cold camera",
+            size=f"{drift_mm:g} mm",
+            falsification=_false(),
+            departure=Departure(drift_mm=-drift_mm),
+            seconds=COLD_S,
+            causes=CAMERA,
+            hazard="S13",
+        )
+        for drift_mm in (4.0, 12.0)
+    ]
+    return made + cold
 
 
 def falsification_of(kind: str, size: str | None, *, start_s: float) -> Falsification:

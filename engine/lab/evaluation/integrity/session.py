@@ -4,6 +4,7 @@ The frames are rendered, not read from a file. The model is learned on honest fr
 reference is an end of exhale.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -25,6 +26,7 @@ from engine.gating.supervision.patient_shift import Movement
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import amplitude_window
 from engine.lab.evaluation.integrity.cases import HONEST_S, POSITION, Case
+from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.falsifications import Falsification, Move, Stale
 from engine.lab.phantom.scene import Script
 from engine.lab.phantom.sensor import USUAL
@@ -37,6 +39,7 @@ from engine.motion.settings import PipelineSettings
 FPS = 30.0
 REGULAR = "regular"
 TRAINING_S = 45.0
+SCRIPT_S = 130.0
 SEARCH_S = (46.0, 54.0)
 """Time within which an end of exhale is chosen as the reference [s]."""
 CELL = (32, 9)
@@ -104,15 +107,20 @@ class Session:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Volunteer:
-    """A volunteer whose model was learned, and the time of an end of exhale."""
+    """A volunteer whose model was learned, and the time of an end of exhale.
+
+    Without a model ``refusal`` says why it could not be learned.
+    """
 
     number: int
     seed: int
-    model: MotionModel
+    model: MotionModel | None
     reference_s: float
     is_turned: bool = False
     head_direction: HeadDirection | None = HeadDirection.TOP
     sensor: str = USUAL
+    departure: Departure = NO_DEPARTURE
+    refusal: str = ""
 
 
 def learn(
@@ -122,6 +130,8 @@ def learn(
     is_turned: bool,
     sensor: str = USUAL,
     head_direction: HeadDirection | None = HeadDirection.TOP,
+    departure: Departure = NO_DEPARTURE,
+    must_learn: bool = True,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Volunteer:
     """Learn a volunteer's model on honest frames.
@@ -129,33 +139,50 @@ def learn(
     Raises
     ------
     ModelError
-        The frames were not enough.
+        The frames were not enough, and the model is not one that may be missing.
     """
-    studio = Studio(_script(number, seed, _turned(None, is_turned=is_turned), sensor=sensor))
+    studio = Studio(_script(number, seed, _turned(None, is_turned=is_turned), sensor=sensor, departure=departure))
+    lost: Counter[str] = Counter()
     pipeline = Pipeline(studio.scene.rig.calibration, _settings(head_direction), ManualClock(), InlineTrainer())
     for index in range(int(TRAINING_S * FPS)):
-        pipeline.measure(_frame(studio, index, index / FPS))
+        measured = pipeline.measure(_frame(studio, index, index / FPS))
+        lost.update([] if measured.lost is None else [measured.lost.reason.value])
         on_frame()
-        model = pipeline.learner.status.model
-        if model is not None:
-            return Volunteer(
-                number=number,
-                seed=seed,
-                model=model,
-                reference_s=_end_of_exhale(studio),
-                is_turned=is_turned,
-                head_direction=head_direction,
-                sensor=sensor,
-            )
-    raise ModelError(f"volunteer {number}: {TRAINING_S:g} s were not enough to learn a model")
+        if pipeline.learner.status.model is not None:
+            break
+    model = pipeline.learner.status.model
+    refusal = f"volunteer {number}: {TRAINING_S:g} s were not enough to learn a model"
+    if model is None and must_learn:
+        raise ModelError(refusal)
+    return Volunteer(
+        number=number,
+        seed=seed,
+        model=model,
+        reference_s=_end_of_exhale(studio),
+        is_turned=is_turned,
+        head_direction=head_direction,
+        sensor=sensor,
+        departure=departure,
+        refusal=next((code for code, _ in lost.most_common(1)), "training") if model is None else "",
+    )
 
 
 def run(volunteer: Volunteer, case: Case, on_frame: Callable[[], None] = lambda: None) -> Session:
-    """Measure one case."""
+    """Measure one case; nothing is measured where no model could be learned."""
+    if volunteer.model is None:
+        return _unlearned(volunteer, case)
     start_s = volunteer.reference_s
     falsification = replace(case.falsification, start_s=start_s + HONEST_S)
     turned = _turned(falsification, is_turned=volunteer.is_turned)
-    script = _script(volunteer.number, volunteer.seed, turned, sensor=volunteer.sensor, scenario=case.scenario)
+    script = _script(
+        volunteer.number,
+        volunteer.seed,
+        turned,
+        sensor=volunteer.sensor,
+        scenario=case.scenario,
+        departure=volunteer.departure,
+        seconds=max(SCRIPT_S, start_s + HONEST_S + case.seconds),
+    )
     studio = Studio(script)
     if case.scenario != REGULAR:
         start_s = _end_of_exhale(studio)
@@ -172,16 +199,40 @@ def _settings(head_direction: HeadDirection | None) -> PipelineSettings:
 
 
 def _script(
-    number: int, seed: int, falsification: Falsification | None, *, sensor: str, scenario: str = REGULAR
+    number: int,
+    seed: int,
+    falsification: Falsification | None,
+    *,
+    sensor: str,
+    scenario: str = REGULAR,
+    departure: Departure = NO_DEPARTURE,
+    seconds: float = SCRIPT_S,
 ) -> Script:
     return Script(
         scenario=scenario,
         volunteer=number,
-        seconds=130.0,
+        seconds=seconds,
         fps=FPS,
         seed=seed,
         falsification=falsification,
+        departure=departure,
         sensor=sensor,
+    )
+
+
+def _unlearned(volunteer: Volunteer, case: Case) -> Session:
+    frames = int(case.seconds * FPS)
+    none = np.zeros(frames, dtype=np.bool_)
+    return Session(
+        case=case,
+        seconds=np.arange(frames) / FPS,
+        is_measured=none,
+        is_held=none,
+        error_mm=np.full((frames, len(SIGNALS)), np.nan),
+        is_on=np.zeros((frames, len(SIGNALS)), dtype=np.bool_),
+        outside_mm=np.zeros((frames, len(SIGNALS))),
+        reasons=(f"{volunteer.refusal}: no model was learned",),
+        is_moved=none,
     )
 
 

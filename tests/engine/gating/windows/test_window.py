@@ -170,11 +170,19 @@ def test_every_number_among_the_limits_has_a_bound():
         "window",
         "is_played",
         "is_calibrated",
+        "warm_up_s",
+        "cold_share",
         "head_direction",
         "holding_events",
         "needs_all_checks",
         "needs_countersignature",
     } == set(LIMIT_BOUNDS)
+
+
+@pytest.mark.parametrize(("name", "value"), [("warm_up_s", -1.0), ("warm_up_s", 14_401.0), ("cold_share", 1.1)])
+def test_a_warmth_that_cannot_be_is_refused(name, value):
+    with pytest.raises(InvalidValueError, match=name):
+        GateLimits(window=WINDOW, **{name: value})
 
 
 def test_limits_that_contradict_each_other_are_refused():

@@ -89,6 +89,24 @@ def test_one_reading_that_jumped_is_no_region_that_does_not_fit(basis):
     assert project(basis, roi(extra=jump), None).residual_mm < project(basis, roi(), None).residual_mm + 0.5
 
 
+def test_what_a_noisy_sensor_adds_is_taken_off_the_residual_within_a_bound(model, basis):
+    """The noise of the mean of a cell of 25 px: 0.3 mm and less take nothing off, nor does any of a finite residual."""
+    hand = np.zeros(REST_MM.shape)
+    hand[100:200, 40:180] = 45.0
+    whole = project(basis, roi(extra=hand), None).residual_mm
+
+    def off_mm(cell_noise_mm):
+        noisy = prepare_basis(replace(model, noise_mm=25.0 * cell_noise_mm))
+        object.__setattr__(noisy, "variance_mm2", basis.variance_mm2)
+        object.__setattr__(noisy, "stiffness", basis.stiffness)
+        object.__setattr__(noisy, "log_stiffness", basis.log_stiffness)
+        return whole - project(noisy, roi(extra=hand), None).residual_mm
+
+    assert [off_mm(noise) for noise in (0.1, 0.3, 0.7, 0.9, 5.0)] == pytest.approx([0.0, 0.0, 2.8, 4.2, 4.2], abs=0.01)
+    quiet = prepare_basis(replace(model, noise_mm=25.0 * 0.9))
+    assert project(quiet, roi(), None).residual_mm == 0.0
+
+
 def test_half_of_the_region_unseen_is_measured_by_the_other_half(model, basis):
     found = project(basis, roi(hole=(slice(None), slice(0, 100))), None)
     assert found.valid_share == pytest.approx(0.5, abs=0.02)

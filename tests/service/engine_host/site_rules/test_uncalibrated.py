@@ -168,15 +168,15 @@ def make_plan(calibration):
     )
 
 
-def test_the_engine_asks_the_camera_again_when_the_session_starts(camera):
-    adapter = LocalEngine(Settings())
+def test_the_engine_asks_the_camera_again_when_the_session_starts(camera, settings):
+    adapter = LocalEngine(settings)
     calibration = adapter.built_in_calibration(None)
-    adapter._camera(None, calibration)
-    adapter._camera(None, make_calibration())
+    for one in (calibration, make_calibration()):
+        adapter.open(make_plan(one)).stop()
     assert [one["use_registration"] for one in camera["driver"].opened] == [True, False]
     camera["angles"] = (1.1, 0.8)
     with pytest.raises(SourceLostError, match="not the one whose own calibration"):
-        adapter._source(make_plan(calibration))
+        adapter.open(make_plan(calibration))
 
 
 def test_the_engine_refuses_cameras_it_cannot_use_uncalibrated(camera):

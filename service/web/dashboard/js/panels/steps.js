@@ -25,7 +25,6 @@ const ADVICE = {
   gaps: tr("steps.more_than_a_tenth_of_the_picture_has_no_dept"),
   too_dark: tr("steps.too_dark_for_the_markers_more_light"),
   too_bright: tr("steps.overexposed_less_light_or_turn_the_lamp_away"),
-  warming_up: tr("steps.the_camera_warms_up_for_15_minutes_until_the"),
 };
 
 export class Steps {
@@ -124,7 +123,8 @@ function cameraStep(sample, session) {
     tr("steps.light", { value: Math.round(100 * view.brightness) }),
     view.running_s >= 60 ? tr("steps.on_for_min", { value: Math.floor(view.running_s / 60) }) : null,
   ].filter((one) => one !== null);
-  const advice = view.advice.map((one) => ADVICE[one] ?? one);
+  const warming = tr("steps.the_camera_warms_up_for_more_minutes", { value: Math.ceil(view.warm_in_s / 60) });
+  const advice = view.advice.map((one) => (one === "warming_up" ? warming : ADVICE[one] ?? one));
   return { code: "camera", state: advice.length === 0 ? "done" : "attention", text: [figures.join(" · "), ...advice].join(". "), button: null };
 }
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.core.errors import InvalidValueError
-from engine.lab.evaluation.integrity.bench import check_plan, verdict
-from engine.lab.evaluation.integrity.cases import HONEST_S, cases
+from engine.core.errors import InvalidValueError, ModelError
+from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, verdict
+from engine.lab.evaluation.integrity.cases import HONEST_S, cases, conditions
 from engine.lab.evaluation.integrity.session import FPS, SIGNALS, learn, run
 
 pytestmark = pytest.mark.slow
@@ -49,6 +49,26 @@ def test_a_frozen_picture_is_held(volunteer):
 def test_a_plan_out_of_bounds_is_refused_by_field(plan, field):
     with pytest.raises(InvalidValueError, match=field):
         check_plan(*plan)
+
+
+def test_where_no_marker_is_found_nothing_is_learned_and_the_row_says_why():
+    case = next(one for one in conditions() if one.kind == "white shirt, plain stickers")
+    unlearned = learn(3, 5, is_turned=False, departure=case.departure, must_learn=False)
+    session = run(unlearned, case)
+    found = verdict([session])
+    assert (found.measured_percent, found.largest_mm, found.on_s) == (0.0, 0.0, 0.0)
+    assert session.reasons[0].startswith("marker_lost: ")
+    assert integrity_table([[session]], name="conditions").rows[0][-1] == "lost"
+    with pytest.raises(ModelError, match="not enough"):
+        learn(3, 5, is_turned=False, departure=case.departure)
+
+
+def test_a_ringed_sticker_is_found_on_white_and_the_breath_is_measured():
+    case = next(one for one in conditions() if one.kind == "white shirt, ringed stickers")
+    learned = learn(3, 5, is_turned=False, departure=case.departure)
+    session = run(learned, replace(case, seconds=2.0))
+    assert session.is_measured.all()
+    assert np.nanmax(np.abs(session.error_mm)) < 0.6
 
 
 def test_honest_frames_precede_every_falsification():

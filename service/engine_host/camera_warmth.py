@@ -1,0 +1,218 @@
+"""How warm the room's cameras are, from session to session, and a camera that goes on running between two of them.
+
+A session's engine has a process of its own, so the warmth is in a file, written every few seconds while the camera
+delivers. What cannot be read there counts as cold: that only lengthens the time until the beam may be on.
+"""
+
+import json
+import logging
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from engine.capture import DepthSource, LiveSource, SourceDescription, drivers
+from engine.core.clock import Clock
+from engine.core.errors import FrameTimeoutError, TidegateError
+from engine.core.files import write_whole
+from engine.core.frames import RgbdFrame
+from engine.core.warmth import Warmth
+from service.core.settings.settings import Settings
+
+logger = logging.getLogger(__name__)
+
+NAME = "camera-warmth.json"
+SAVE_S = 10.0
+KEEP_FROM_S, RETRY_S = 3.0, 30.0
+"""How long after the start of a process on standby a camera is taken, and after a failure again [s]."""
+READ_S, END_S = 1.0, 5.0
+S_PER_MIN = 60.0
+FRAMES_BETWEEN_LOOKS = 300
+
+
+class Seen(NamedTuple):
+    """What the file says of a camera: its warmth, when, and when a session used it last."""
+
+    cold_share: float
+    at: datetime
+    used: datetime
+
+
+class WarmthFile:
+    """The file, with a line for each camera by its address."""
+
+    def __init__(self, folder: Path, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self._path, self._now = folder / NAME, now
+
+    def read(self, address: str, warm_up_s: float) -> Warmth:
+        """Return the warmth of a camera that has not run since it was written down; cold where that is not known."""
+        seen = self._all().get(address)
+        if seen is None:
+            return Warmth(warm_up_s)
+        away_s = (self._now() - seen.at).total_seconds()
+        warmth = Warmth(warm_up_s, seen.cold_share if away_s >= 0.0 else 1.0)
+        warmth.rest(away_s)
+        return warmth
+
+    def write(self, address: str, warmth: Warmth, *, is_used: bool) -> None:
+        """Write down a camera that runs now, ``is_used`` by a session; a full disk leaves the file as it was."""
+        cameras, now = self._all(), self._now()
+        before = cameras.get(address)
+        used = now if is_used or before is None else before.used
+        cameras[address] = Seen(cold_share=warmth.cold_share, at=now, used=used)
+        text = {name: [one.cold_share, one.at.isoformat(), one.used.isoformat()] for name, one in cameras.items()}
+        with suppress(OSError):
+            write_whole(self._path, json.dumps(text, indent=1).encode())
+
+    def newest(self) -> tuple[str, float] | None:
+        """Return the camera that a session used last, and how long ago that was [s]; None without one."""
+        cameras = self._all()
+        if not cameras:
+            return None
+        address = max(cameras, key=lambda name: cameras[name].used)
+        return address, (self._now() - cameras[address].used).total_seconds()
+
+    def _all(self) -> dict[str, Seen]:
+        try:
+            given = json.loads(self._path.read_text())
+            return {str(name): _seen(*one) for name, one in given.items()}
+        except (OSError, ValueError, TypeError, AttributeError):
+            return {}
+
+
+def _seen(cold_share: float, at: str, used: str) -> Seen:
+    if not 0.0 <= cold_share <= 1.0:
+        raise ValueError(cold_share)
+    return Seen(float(cold_share), _time(at), _time(used))
+
+
+def _time(text: str) -> datetime:
+    found = datetime.fromisoformat(text)
+    if found.tzinfo is None:
+        raise ValueError(text)
+    return found
+
+
+class WarmingSource:
+    """A source whose frames warm its camera: it writes that down every `SAVE_S`, in a thread of its own."""
+
+    def __init__(
+        self, source: DepthSource, warmth: Warmth, file: WarmthFile, address: str, *, is_used: bool = True
+    ) -> None:
+        self._source, self._warmth = source, warmth
+        self._file, self._address, self._is_used = file, address, is_used
+        self._stop = threading.Event()
+        self._saver: threading.Thread | None = None
+
+    def open(self) -> SourceDescription:
+        """Open the source."""
+        described = self._source.open()
+        self._saver = threading.Thread(target=self._run, name="camera-warmth", daemon=True)
+        self._saver.start()
+        return described
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        """Return the next frame."""
+        frame = self._source.read(timeout_s)
+        self._warmth.frame(frame.received_ns)
+        return frame
+
+    def close(self) -> None:
+        """Close the source."""
+        self._stop.set()
+        self._source.close()
+        if self._saver is not None:
+            self._saver.join(READ_S)
+
+    def _run(self) -> None:
+        is_over = False
+        while not is_over:
+            is_over = self._stop.wait(SAVE_S)
+            self._file.write(self._address, self._warmth, is_used=self._is_used)
+
+
+class CameraKeeper:
+    """Keeps the camera of the last session running while its process is on standby; what it sees is dropped.
+
+    Used as a context, it releases the camera for what happens inside, and takes it again afterwards.
+    """
+
+    def __init__(self, settings: Settings, file: WarmthFile, clock: Clock) -> None:
+        self._settings, self._file, self._clock = settings, file, clock
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._has_ended = False
+
+    def start(self) -> None:
+        """Begin, where the site wants it."""
+        if self._settings.keep_warm_min > 0.0 and not self._has_ended:
+            self._stop = threading.Event()
+            self._thread = threading.Thread(target=self._run, args=(self._stop,), name="camera-keeper", daemon=True)
+            self._thread.start()
+
+    def end(self) -> None:
+        """Release the camera for good."""
+        self._has_ended = True
+        self._release()
+
+    def __enter__(self) -> Self:
+        """Release the camera."""
+        self._release()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take it again."""
+        self.start()
+
+    def _release(self) -> None:
+        self._stop.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join(END_S)
+
+    def _run(self, stop: threading.Event) -> None:
+        wait_s = KEEP_FROM_S
+        while not stop.wait(wait_s):
+            wait_s = RETRY_S
+            address = self._address()
+            if address is None:
+                continue
+            try:
+                self._keep(address, stop)
+            except TidegateError as error:
+                logger.info("the camera does not run between sessions: %s", error)
+
+    def _address(self) -> str | None:
+        """Return the camera that is to be kept, None for none."""
+        newest = self._file.newest()
+        if newest is None or not 0.0 <= newest[1] <= S_PER_MIN * self._settings.keep_warm_min:
+            return None
+        address = newest[0]
+        is_ours = address.startswith(self._settings.camera_uri)
+        return address if is_ours and warm_up_s(address, self._settings) > 0.0 else None
+
+    def _keep(self, address: str, stop: threading.Event) -> None:
+        camera: LiveSource = drivers.open_camera(drivers.listed_address(address), clock=self._clock)
+        warmth = self._file.read(address, warm_up_s(address, self._settings))
+        source = WarmingSource(camera, warmth, self._file, address, is_used=False)
+        try:
+            source.open()
+            while not stop.is_set() and self._address() == address:
+                for _ in range(FRAMES_BETWEEN_LOOKS):
+                    if stop.is_set():
+                        break
+                    with suppress(FrameTimeoutError):
+                        source.read(READ_S)
+        finally:
+            source.close()
+
+
+def warm_up_s(address: str | None, settings: Settings) -> float:
+    """Return how long a cold camera runs before the beam may be on [s]: the site's value, or its kind's."""
+    given_min = settings.warm_up_min
+    return drivers.warm_up_s(address) if given_min is None else S_PER_MIN * given_min

@@ -1,0 +1,182 @@
+"""How warm the room's camera is from session to session, and a camera that runs on between two of them."""
+
+import json
+import threading
+from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
+
+import pytest
+
+from engine.capture import drivers
+from engine.core.clock import MonotonicClock
+from engine.core.errors import FrameTimeoutError, SourceLostError
+from engine.core.warmth import Warmth
+from service.core.settings.settings import Settings
+from service.engine_host.camera_warmth import NAME, CameraKeeper, WarmingSource, WarmthFile, warm_up_s
+from tests.support.waiting import eventually
+
+ADDRESS, OTHER = "realsense:1234", "orbbec:77"
+WARM_UP_S = 1800.0
+
+
+class Times:
+    def __init__(self):
+        self.at = datetime(2026, 11, 27, 9, 0, tzinfo=UTC)
+
+    def __call__(self):
+        return self.at
+
+    def later(self, seconds):
+        self.at += timedelta(seconds=seconds)
+
+
+@pytest.fixture
+def times():
+    return Times()
+
+
+@pytest.fixture
+def file(tmp_path, times):
+    return WarmthFile(tmp_path, times)
+
+
+def warm(share=0.0):
+    return Warmth(WARM_UP_S, share)
+
+
+def test_a_camera_cools_between_two_sessions_and_another_is_cold(file, times):
+    file.write(ADDRESS, warm(0.02), is_used=True)
+    times.later(600.0)
+    expected = warm(0.02)
+    expected.rest(600.0)
+    assert file.read(ADDRESS, WARM_UP_S).cold_share == pytest.approx(expected.cold_share)
+    assert file.read(OTHER, WARM_UP_S).cold_share == 1.0
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        "{",
+        '{"realsense:1234": [0.0, "2026-11-27T09:00:00+00:00"]}',
+        '{"realsense:1234": [-0.1, "2026-11-27T09:00:00+00:00", "2026-11-27T09:00:00+00:00"]}',
+        '{"realsense:1234": [NaN, "2026-11-27T09:00:00+00:00", "2026-11-27T09:00:00+00:00"]}',
+        '{"realsense:1234": [0.0, "2026-11-27T09:00:00", "2026-11-27T09:00:00"]}',
+        '{"realsense:1234": [0.0, "2026-11-27T09:00:01+00:00", "2026-11-27T09:00:00+00:00"]}',
+    ],
+    ids=["empty", "list", "cut", "short", "negative", "nan", "no zone", "from the future"],
+)
+def test_what_cannot_be_read_is_cold(file, tmp_path, content):
+    (tmp_path / NAME).write_text(content)
+    assert file.read(ADDRESS, WARM_UP_S).cold_share == 1.0
+
+
+def test_a_full_disk_costs_warmth_and_no_session(tmp_path, times):
+    WarmthFile(tmp_path / "absent", times).write(ADDRESS, warm(), is_used=True)
+
+
+def test_the_camera_of_the_newest_session_is_known(file, times):
+    assert file.newest() is None
+    file.write(OTHER, warm(), is_used=True)
+    times.later(60.0)
+    file.write(ADDRESS, warm(), is_used=True)
+    times.later(60.0)
+    file.write(OTHER, warm(), is_used=False)  # kept running, not used
+    times.later(60.0)
+    assert file.newest() == (ADDRESS, 120.0)
+
+
+class Camera:
+    """Delivers a frame a second, at once."""
+
+    def __init__(self, ends_after=None):
+        self.frames, self.is_open, self.ends_after = 0, False, ends_after
+        self.is_free = True
+
+    def open(self):
+        self.is_open = True
+
+    def read(self, _timeout_s):
+        if self.frames == self.ends_after:
+            raise SourceLostError("unplugged")
+        self.frames += 1
+        if self.frames > 5000:
+            threading.Event().wait(0.01)
+            raise FrameTimeoutError("no frame")
+        return SimpleNamespace(received_ns=self.frames * 10**9)
+
+    def close(self):
+        self.is_open = False
+
+
+def test_a_session_s_frames_warm_its_camera_and_its_end_is_written(file, tmp_path):
+    warmth, camera = warm(1.0), Camera()
+    source = WarmingSource(camera, warmth, file, ADDRESS)
+    source.open()
+    for _ in range(601):
+        source.read(1.0)
+    source.close()
+    expected = warm(1.0)
+    expected.run(600.0)
+    assert json.loads((tmp_path / NAME).read_text())[ADDRESS][0] == pytest.approx(expected.cold_share)
+    assert not camera.is_open
+
+
+@pytest.fixture
+def cameras(monkeypatch):
+    """Every camera that was opened by its address."""
+    opened = {}
+
+    def open_camera(address, **_others):
+        opened[address] = Camera()
+        return opened[address]
+
+    monkeypatch.setattr(drivers, "open_camera", open_camera)
+    monkeypatch.setattr(drivers, "listed_address", lambda address, _pinned="": address)
+    monkeypatch.setattr("service.engine_host.camera_warmth.KEEP_FROM_S", 0.0)
+    return opened
+
+
+def test_the_camera_runs_on_between_two_sessions_until_the_next_one_needs_it(file, tmp_path, cameras):
+    file.write(ADDRESS, warm(0.5), is_used=True)
+    keeper = CameraKeeper(Settings(data_dir=tmp_path, keep_warm_min=60.0), file, MonotonicClock())
+    keeper.start()
+    eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 1000)
+    with keeper:
+        assert not cameras[ADDRESS].is_open
+        before = cameras.pop(ADDRESS)
+    eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 10)
+    keeper.end()
+    assert not cameras[ADDRESS].is_open
+    assert file.read(ADDRESS, WARM_UP_S).cold_share < 0.3
+    assert before is not cameras[ADDRESS]
+    keeper.start()  # after its end nothing takes the camera again
+    assert not cameras[ADDRESS].is_open
+
+
+@pytest.mark.parametrize(
+    ("settings", "minutes"),
+    [
+        ({"keep_warm_min": 0.0}, 0.0),
+        ({"keep_warm_min": 60.0}, 61.0),
+        ({"warm_up_min": 0.0}, 1.0),
+        ({"camera_uri": "orbbec:"}, 1.0),
+    ],
+    ids=["not wanted", "too long ago", "needs none", "another room's"],
+)
+def test_no_camera_runs_on_where_the_site_does_not_want_it(file, tmp_path, times, cameras, settings, minutes):
+    file.write(ADDRESS, warm(), is_used=True)
+    times.later(60.0 * minutes)
+    keeper = CameraKeeper(Settings(data_dir=tmp_path, **settings), file, MonotonicClock())
+    keeper.start()
+    threading.Event().wait(0.2)
+    keeper.end()
+    assert cameras == {}
+
+
+def test_the_site_s_warm_up_goes_before_the_kind_s():
+    assert warm_up_s(ADDRESS, Settings()) == drivers.warm_up_s(ADDRESS) == 1800.0
+    assert warm_up_s("orbbec:1", Settings()) == 2700.0
+    assert warm_up_s("1d27/0601@1/7", Settings()) == 900.0
+    assert warm_up_s(ADDRESS, Settings(warm_up_min=7.0)) == 420.0
