@@ -21,12 +21,14 @@ from engine.capture.recording_source import (
     OniFileSource,
 )
 from engine.capture.source import (
+    CameraOptions,
     DepthSource,
     LiveSource,
     SourceDescription,
 )
 
 __all__ = [
+    "CameraOptions",
     "CheckedSource",
     "DepthSource",
     "LiveSource",

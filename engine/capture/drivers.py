@@ -9,7 +9,15 @@ from engine.capture.camera_process.native import FILE
 from engine.capture.openni.driver import OpenNiDriver
 from engine.capture.orbbec.driver import ORBBEC
 from engine.capture.realsense.driver import REALSENSE
-from engine.capture.source import CameraDriver, FactoryCalibration, ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import (
+    AS_IT_IS,
+    CameraDriver,
+    CameraOptions,
+    FactoryCalibration,
+    ListedCamera,
+    LiveSource,
+    RegisteredView,
+)
 from engine.core.clock import Clock
 from engine.core.errors import RecordingError, RuntimeMissingError, SourceLostError
 
@@ -33,7 +41,7 @@ def missing_text() -> str:
 
 
 def list_cameras(pinned: str = "") -> list[ListedCamera]:
-    """List the cameras that may be opened: those whose address begins with ``pinned``, or all.
+    """List the cameras that may be opened: the one at ``pinned``, those whose address begins with it, or all.
 
     Raises
     ------
@@ -49,7 +57,8 @@ def list_cameras(pinned: str = "") -> list[ListedCamera]:
     if len(failed) == len(available):
         raise failed[0]
     found = itertools.chain.from_iterable(answer for answer in answers if isinstance(answer, list))
-    return [camera for camera in found if camera.uri.startswith(pinned)]
+    fitting = [camera for camera in found if camera.uri.startswith(pinned)]
+    return [camera for camera in fitting if camera.uri == pinned] or fitting
 
 
 def _listed(driver: CameraDriver) -> list[ListedCamera] | RuntimeMissingError:
@@ -99,9 +108,11 @@ def none_text() -> str:
     return f"{_labels()} sees no camera"
 
 
-def open_camera(uri: str | None, *, clock: Clock, use_registration: bool = False) -> LiveSource:
+def open_camera(
+    uri: str | None, *, clock: Clock, use_registration: bool = False, options: CameraOptions = AS_IT_IS
+) -> LiveSource:
     """Return a camera by its driver, not opened; see :meth:`engine.capture.source.CameraDriver.camera`."""
-    return _driver_of(uri).camera(uri, clock=clock, use_registration=use_registration)
+    return _driver_of(uri).camera(uri, clock=clock, use_registration=use_registration, options=options)
 
 
 def registered_view(uri: str) -> RegisteredView | None:

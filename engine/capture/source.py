@@ -1,6 +1,6 @@
 """The roles of a frame source and of a camera driver."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Protocol
 
@@ -57,6 +57,32 @@ class LiveSource(DepthSource, Protocol):
     @property
     def is_free(self) -> bool:
         """Whether no call of it hangs in the driver any more, after :meth:`close`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptions:
+    """How a camera that can be set is set; what is None stays as the maker's or the adapter's own.
+
+    Attributes
+    ----------
+    preset
+        Name of a preset of the maker, such as ``high-accuracy``.
+    exposure_us
+        Exposure of the depth pictures [us].
+    laser_percent
+        Power of the projector, as a share of its most [%].
+    """
+
+    preset: str | None = None
+    exposure_us: int | None = None
+    laser_percent: float | None = None
+
+    def __bool__(self) -> bool:
+        """Whether anything is set."""
+        return any(getattr(self, one.name) is not None for one in fields(self))
+
+
+AS_IT_IS = CameraOptions()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,12 +147,20 @@ class CameraDriver(Protocol):
         """List the connected cameras; raise RuntimeMissingError without the SDK."""
 
     def camera(
-        self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
+        self,
+        uri: str | None,
+        *,
+        clock: Clock,
+        use_registration: bool = False,
+        record_to: Path | None = None,
+        options: CameraOptions = AS_IT_IS,
     ) -> LiveSource:
         """Return a camera, not opened; the first one where no address is given.
 
         Parameters
         ----------
+        options
+            How it is set; a source refuses at its opening what its camera cannot be set to.
         use_registration
             Let the camera move depth into the colour camera's view.
         record_to

@@ -197,7 +197,8 @@ class CameraKeeper:
         return address if is_ours and warm_up_s(address, self._settings) > 0.0 else None
 
     def _keep(self, address: str, stop: threading.Event) -> None:
-        camera: LiveSource = drivers.open_camera(drivers.listed_address(address), clock=self._clock)
+        listed, options = drivers.listed_address(address), self._settings.camera_options
+        camera: LiveSource = drivers.open_camera(listed, clock=self._clock, options=options)
         warmth = self._file.read(address, warm_up_s(address, self._settings))
         source = WarmingSource(camera, warmth, self._file, address, is_used=False)
         try:

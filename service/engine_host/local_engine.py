@@ -200,7 +200,8 @@ class LocalEngine:
             msg = "the camera is not the one whose own calibration this session was created with"
             raise SourceLostError(msg)
         is_registered = calibration.is_device_registration
-        source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered)
+        options = self._settings.camera_options
+        source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered, options=options)
         return checked_camera(source, calibration, self._settings)
 
     def _player(self, path: Path, player: str) -> DepthSource:

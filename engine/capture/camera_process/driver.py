@@ -5,7 +5,14 @@ from pathlib import Path
 
 from engine.capture.camera_process.recorded import RecordedSource
 from engine.capture.camera_process.source import ProcessSource, factory_calibration, is_sdk_installed, listed
-from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import (
+    AS_IT_IS,
+    CameraOptions,
+    FactoryCalibration,
+    ListedCamera,
+    LiveSource,
+    RegisteredView,
+)
 from engine.core.clock import Clock
 from engine.core.errors import SourceLostError
 
@@ -45,12 +52,18 @@ class ProcessDriver:
         return listed(self.module, self.label)
 
     def camera(
-        self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
+        self,
+        uri: str | None,
+        *,
+        clock: Clock,
+        use_registration: bool = False,
+        record_to: Path | None = None,
+        options: CameraOptions = AS_IT_IS,
     ) -> LiveSource:
         """Return a camera, not opened; the first one where no address is given."""
         if use_registration:
             raise SourceLostError(f"{self.label} does not register depth to colour itself")
-        source = ProcessSource(self.module, self._serial(uri), clock=clock)
+        source = ProcessSource(self.module, self._serial(uri), clock=clock, options=options)
         return source if record_to is None else RecordedSource(source, record_to)
 
     def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource | None:  # noqa: ARG002

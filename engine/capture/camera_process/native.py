@@ -15,6 +15,9 @@ from engine.core.frames import ColorImage, DepthImage
 
 FILE = "file:"
 """Prefix of a recording's path, given in place of a serial number."""
+INFRARED = "/infrared"
+"""Behind a serial number: the infrared picture in place of colour, for a room without light. It has no colour, so what
+compares colours with the reference cannot work."""
 SIZE_PX = (640, 480)
 FPS = 30
 FIRST_FRAME_S = 5.0

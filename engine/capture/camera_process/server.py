@@ -1,9 +1,9 @@
 """The camera's process: opens one camera, and hands its frames over through a ring of pictures in shared memory.
 
 Run: ``python -m engine.capture.camera_process MODULE list`` writes the connected cameras as JSON, ``... MODULE
-calibration SERIAL`` a camera's own calibration; ``... MODULE stream FD SERIAL`` streams until the socket FD is closed.
-The engine counts the frames that it has taken in the ring's head; where it takes none, frames are dropped, and their
-numbers show it.
+calibration SERIAL`` a camera's own calibration; ``... MODULE stream FD SERIAL OPTIONS`` streams until the socket FD is
+closed. The engine counts the frames that it has taken in the ring's head; where it takes none, frames are dropped, and
+their numbers show it.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.capture.camera_process.native import NativeCamera, NativeFrame
-from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
+from engine.capture.source import CameraOptions, FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceEndedError, TidegateError
 from engine.core.native_process import keep_calls_in_their_thread
 
@@ -48,8 +48,8 @@ class SdkModule(Protocol):
     def list_cameras(self) -> list[ListedCamera]:
         """List the connected cameras."""
 
-    def camera(self, serial: str) -> NativeCamera:
-        """Return a camera, not opened."""
+    def camera(self, serial: str, options: CameraOptions) -> NativeCamera:
+        """Return a camera, not opened; it refuses at its opening what it cannot be set to."""
 
     def factory_calibration(self, serial: str) -> FactoryCalibration:
         """Return the calibration of a camera by its maker."""
@@ -103,7 +103,7 @@ def main(arguments: list[str]) -> int:
     threading.Thread(target=_end_with, args=(channel.fileno(),), daemon=True).start()
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):
         try:
-            _stream(channel, module.camera(arguments[3]))
+            _stream(channel, module.camera(arguments[3], CameraOptions(**json.loads(arguments[4]))))
         except SourceEndedError as error:
             _say(channel, {"ended": str(error)})
         except TidegateError as error:

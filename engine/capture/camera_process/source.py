@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,7 +26,7 @@ from engine.capture.camera_process.server import (
     ring_bytes,
 )
 from engine.capture.oni.reader import missed_between
-from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
+from engine.capture.source import AS_IT_IS, CameraOptions, FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.clock import Clock
 from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceEndedError, SourceLostError
 from engine.core.frames import ColorImage, RgbdFrame, frozen
@@ -99,10 +100,13 @@ class ProcessSource:
         The camera's serial number.
     clock
         The clock of the frames' time stamps; the process stamps them with the same clock of the host.
+    options
+        How the camera is set.
     """
 
-    def __init__(self, module: str, serial: str, *, clock: Clock) -> None:
+    def __init__(self, module: str, serial: str, *, clock: Clock, options: CameraOptions = AS_IT_IS) -> None:
         self._module, self._serial, self._clock = module, serial, clock
+        self._options = json.dumps(asdict(options))
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
         self._ring: Ring | None = None
@@ -135,7 +139,7 @@ class ProcessSource:
         self._channel = ours
         try:
             self._process = subprocess.Popen(  # noqa: S603 - this very program
-                [*_command(self._module), "stream", str(its.fileno()), self._serial],
+                [*_command(self._module), "stream", str(its.fileno()), self._serial, self._options],
                 pass_fds=(its.fileno(),),
                 stdin=subprocess.DEVNULL,
                 env=_environment(),

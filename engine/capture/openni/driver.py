@@ -5,8 +5,16 @@ from pathlib import Path
 from engine.capture.openni import c_api
 from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
-from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import (
+    AS_IT_IS,
+    CameraOptions,
+    FactoryCalibration,
+    ListedCamera,
+    LiveSource,
+    RegisteredView,
+)
 from engine.core.clock import Clock
+from engine.core.errors import SourceLostError
 
 REGISTERED_SIZE_PX = (640, 480)
 
@@ -34,9 +42,17 @@ class OpenNiDriver:
         return list_devices()
 
     def camera(
-        self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
+        self,
+        uri: str | None,
+        *,
+        clock: Clock,
+        use_registration: bool = False,
+        record_to: Path | None = None,
+        options: CameraOptions = AS_IT_IS,
     ) -> LiveSource:
         """Return a device, not opened; the first one where no address is given."""
+        if options:
+            raise SourceLostError(f"a camera of {self.label} has no preset, exposure or laser power that can be set")
         return OpenNiSource(uri, clock=clock, use_device_registration=use_registration, record_to=record_to)
 
     def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource:

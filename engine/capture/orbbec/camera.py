@@ -31,7 +31,7 @@ from engine.capture.camera_process.native import (
     in_mm,
 )
 from engine.capture.camera_process.pairing import RecentColors
-from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
+from engine.capture.source import CameraOptions, FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.frames import ColorImage, DepthImage
 from engine.core.geometry import Intrinsics, RigidTransform
@@ -59,9 +59,9 @@ def list_cameras() -> list[ListedCamera]:
     ]
 
 
-def camera(serial: str) -> "OrbbecCamera":
+def camera(serial: str, options: CameraOptions) -> "OrbbecCamera":
     """Return the camera with a serial number, not opened."""
-    return OrbbecCamera(serial)
+    return OrbbecCamera(serial, options)
 
 
 def factory_calibration(serial: str) -> FactoryCalibration:
@@ -94,8 +94,8 @@ class _Received:
 class OrbbecCamera:
     """See :class:`engine.capture.camera_process.native.NativeCamera`."""
 
-    def __init__(self, serial: str) -> None:
-        self._serial = serial
+    def __init__(self, serial: str, options: CameraOptions) -> None:
+        self._serial, self._options = serial, options
         self._context: ob.Context | None = None
         self._sensors: list[ob.Sensor] = []
         self._queues: tuple[queue.Queue[_Received], ...] = (queue.Queue(QUEUED), queue.Queue(QUEUED))
@@ -119,6 +119,8 @@ class OrbbecCamera:
         name, connection = info.get_name(), info.get_connection_type()
         if connection.startswith("USB") and not connection.startswith("USB3") and not self._is_file:
             raise SourceLostError(f"{name} is connected by {connection}: it needs a USB 3 port and cable")
+        if not self._is_file:
+            _set_up(device, self._options)
         try:
             profiles = [_profile(device, stream) for stream in (DEPTH, COLOR)]
             for stream, profile in enumerate(profiles):
@@ -128,7 +130,7 @@ class OrbbecCamera:
         except ob.OBError as error:
             raise SourceLostError(f"{name} cannot be started: {' '.join(str(error).split())[:300]}") from error
         self._await_first(name)
-        if not self._is_file:
+        if not self._is_file and self._options.exposure_us is None:
             _fix_exposure(device, name)
         return SourceDescription(
             kind="orbbec",
@@ -274,6 +276,55 @@ def _rgb(frame: ob.VideoFrame) -> ColorImage | None:
         return None
     picture = raw.reshape(size)
     return np.array(picture if frame.get_format() == ob.OBFormat.RGB else picture[..., ::-1])
+
+
+def _set_up(device: ob.Device, options: CameraOptions) -> None:
+    """Set what the site has chosen, and read it back; a preset comes first, as it changes the others.
+
+    Raises
+    ------
+    SourceLostError
+        The camera has no such preset or property, or does not take the value.
+    """
+    if options.preset is not None:
+        presets = device.get_available_preset_list()
+        names = [presets.get_name_by_index(i) for i in range(presets.get_count())]
+        if options.preset not in names:
+            raise SourceLostError(
+                f"camera.depth_preset is {options.preset}: this camera has {', '.join(names) or 'none'}"
+            )
+        device.load_preset(options.preset)
+        if device.get_current_preset_name() != options.preset:
+            raise SourceLostError(f"this camera does not take camera.depth_preset {options.preset}")
+    if options.laser_percent is not None:
+        power = ob.OBPropertyID.OB_PROP_LASER_POWER_LEVEL_CONTROL_INT
+        bounds = _bounds(device, power, "laser_percent")
+        _set(device, power, bounds.min + round((bounds.max - bounds.min) * options.laser_percent / 100.0))
+    if options.exposure_us is not None:
+        exposure, automatic = (
+            ob.OBPropertyID.OB_PROP_DEPTH_EXPOSURE_INT,
+            ob.OBPropertyID.OB_PROP_DEPTH_AUTO_EXPOSURE_BOOL,
+        )
+        _bounds(device, exposure, "depth_exposure_us")
+        if device.is_property_supported(automatic, ob.OBPermissionType.PERMISSION_READ_WRITE):
+            device.set_bool_property(automatic, False)  # noqa: FBT003 - the SDK's own signature
+        _set(device, exposure, options.exposure_us)
+
+
+def _bounds(device: ob.Device, what: ob.OBPropertyID, setting: str) -> ob.OBIntPropertyRange:
+    if not device.is_property_supported(what, ob.OBPermissionType.PERMISSION_READ_WRITE):
+        raise SourceLostError(f"camera.{setting} cannot be set on this camera")
+    return device.get_int_property_range(what)
+
+
+def _set(device: ob.Device, what: ob.OBPropertyID, value: int) -> None:
+    try:
+        device.set_int_property(what, value)
+    except ob.OBError as error:
+        raise SourceLostError(f"{what.name} cannot be {value}: {' '.join(str(error).split())[:300]}") from error
+    found = device.get_int_property(what)
+    if found != value:
+        raise SourceLostError(f"{what.name} is {found} although {value} was set")
 
 
 def _fix_exposure(device: ob.Device, name: str) -> None:

@@ -16,6 +16,7 @@ from engine.capture.camera_process.native import (
     FILE,
     FIRST_FRAME_S,
     FPS,
+    INFRARED,
     SETTLE_S,
     SIZE_PX,
     DeviceClock,
@@ -23,7 +24,7 @@ from engine.capture.camera_process.native import (
     in_mm,
 )
 from engine.capture.camera_process.pairing import RecentColors
-from engine.capture.source import FactoryCalibration, ListedCamera, SourceDescription
+from engine.capture.source import CameraOptions, FactoryCalibration, ListedCamera, SourceDescription
 from engine.core.errors import SourceEndedError, SourceLostError
 from engine.core.geometry import Intrinsics, RigidTransform
 
@@ -32,27 +33,30 @@ WRAP_US = 2**32
 """The device counts microseconds with 32 bits: 71.6 minutes."""
 QUEUED, QUEUED_OF_FILE = 32, 128
 MM_PER_M = 1000.0
+COLOR_AXES = 3
 DEPTH_UNIT_M = 0.001
 
 
 def list_cameras() -> list[ListedCamera]:
-    """List the connected cameras that have depth and colour."""
-    return [
-        ListedCamera(uri=f"{PREFIX}{serial}", vendor="Intel", name=_info(device, rs.camera_info.name) or "RealSense")
-        for device in rs.context().query_devices()
-        if (serial := _info(device, rs.camera_info.serial_number)) and len(_sensors(device)) == len(STREAMS)
-    ]
+    """List the connected cameras that have depth and colour; one with infrared pictures a second time, with those."""
+    found = []
+    for device in rs.context().query_devices():
+        serial, name = _info(device, rs.camera_info.serial_number), _info(device, rs.camera_info.name) or "RealSense"
+        for behind, words in (("", ""), (INFRARED, ", infrared")):
+            if serial and all(_sensor(device, kind) is not None for kind in _streams(behind)):
+                found.append(ListedCamera(uri=f"{PREFIX}{serial}{behind}", vendor="Intel", name=name + words))
+    return found
 
 
-def camera(serial: str) -> "RealSenseCamera":
+def camera(serial: str, options: CameraOptions) -> "RealSenseCamera":
     """Return the camera with a serial number, not opened."""
-    return RealSenseCamera(serial)
+    return RealSenseCamera(serial, options)
 
 
 def factory_calibration(serial: str) -> FactoryCalibration:
     """Return the calibration that a camera has from its maker; raise SourceLostError without the camera."""
     device = _device(serial)
-    depth, color = (_profile(device, kind, is_any=serial.startswith(FILE)) for kind in STREAMS)
+    depth, color = (_profile(device, kind, is_any=serial.startswith(FILE)) for kind in _streams(serial))
     pose = depth.get_extrinsics_to(color)
     return FactoryCalibration(
         camera=_info(device, rs.camera_info.name) or "RealSense",
@@ -66,19 +70,24 @@ def factory_calibration(serial: str) -> FactoryCalibration:
     )
 
 
-STREAMS = (rs.stream.depth, rs.stream.color)
-FORMATS = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8}
+FORMATS = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8, rs.stream.infrared: rs.format.y8}
+
+
+def _streams(serial: str) -> tuple[rs.stream, rs.stream]:
+    """Return the streams of a camera's address: depth, and the picture that the markers are found in."""
+    return rs.stream.depth, rs.stream.infrared if serial.endswith(INFRARED) else rs.stream.color
 
 
 class RealSenseCamera:
     """See :class:`engine.capture.camera_process.native.NativeCamera`."""
 
-    def __init__(self, serial: str) -> None:
-        self._serial = serial
+    def __init__(self, serial: str, options: CameraOptions) -> None:
+        self._serial, self._options = serial, options
+        self._streams = _streams(serial)
         self._started: list[rs.sensor] = []
         self._is_file = serial.startswith(FILE)
         kept = QUEUED_OF_FILE if self._is_file else QUEUED
-        self._queues = {kind: rs.frame_queue(kept, keep_frames=True) for kind in STREAMS}
+        self._queues = {kind: rs.frame_queue(kept, keep_frames=True) for kind in self._streams}
         self._colors = RecentColors()
         self._clock = DeviceClock(WRAP_US)
         self._unit_mm = MM_PER_M * DEPTH_UNIT_M
@@ -101,13 +110,14 @@ class RealSenseCamera:
         if usb and not usb.startswith("3") and not self._is_file:
             raise SourceLostError(f"{name} is connected by USB {usb}: it needs a USB 3 port and cable")
         try:
-            profiles = {kind: _profile(device, kind, is_any=self._is_file) for kind in STREAMS}
-            for kind, sensor in zip(STREAMS, _sensors(device), strict=True):
+            profiles = {kind: _profile(device, kind, is_any=self._is_file) for kind in self._streams}
+            sensors = _grouped(device, self._streams)
+            for sensor, kinds in sensors:
                 if not self._is_file:
-                    _set_up(sensor, kind)
-                sensor.open(profiles[kind])
-            for kind, sensor in zip(STREAMS, _sensors(device), strict=True):
-                sensor.start(self._queues[kind])
+                    _set_up(sensor, kinds[0], self._options)
+                sensor.open([profiles[kind] for kind in kinds])
+            for sensor, kinds in sensors:
+                sensor.start(self._queues[kinds[0]] if len(kinds) == 1 else self._sorted)
                 self._started.append(sensor)
         except RuntimeError as error:
             raise SourceLostError(f"{name} cannot be started: {_words(error)}") from error
@@ -115,20 +125,25 @@ class RealSenseCamera:
         self._await_first(name)
         if not self._is_file:
             self._settle(name)
+        name += ", infrared" if rs.stream.infrared in self._streams else ""
         firmware = _info(device, rs.camera_info.firmware_version)
         return SourceDescription(
             kind="realsense",
             name=f"{name}, firmware {firmware}" if firmware else name,
             depth_size=(profiles[rs.stream.depth].width(), profiles[rs.stream.depth].height()),
-            color_size=(profiles[rs.stream.color].width(), profiles[rs.stream.color].height()),
+            color_size=(profiles[self._streams[1]].width(), profiles[self._streams[1]].height()),
             fps=float(profiles[rs.stream.depth].fps()),
             is_live=not self._is_file,
             serial=_info(device, rs.camera_info.serial_number),
         )
 
+    def _sorted(self, frame: rs.frame) -> None:
+        """Take a frame of a sensor that has both streams, on the SDK's thread."""
+        self._queues[frame.get_profile().stream_type()].enqueue(frame)
+
     def _await_first(self, name: str) -> None:
         """Wait for a frame of each stream with times of the device."""
-        for kind in STREAMS:
+        for kind in self._streams:
             try:
                 frame = self._queues[kind].wait_for_frame(int(1000 * FIRST_FRAME_S))
             except RuntimeError as error:
@@ -147,6 +162,8 @@ class RealSenseCamera:
         """Let the exposure of depth settle, and fix it."""
         settled_s = time.monotonic() + SETTLE_S
         depth = self._started[0]
+        if self._options.exposure_us is not None:
+            return  # it was set before the start
         while depth.supports(rs.option.enable_auto_exposure) and time.monotonic() < settled_s:
             time.sleep(0.05)
             self._take_colors()
@@ -191,13 +208,15 @@ class RealSenseCamera:
         )
 
     def _take_colors(self) -> None:
-        while frame := self._queues[rs.stream.color].poll_for_frame():
+        while frame := self._queues[self._streams[1]].poll_for_frame():
             self._take_color(frame)
 
     def _take_color(self, frame: rs.frame) -> None:
         timestamp_us = self._clock.unwrapped(_time_us(frame))
         if timestamp_us is not None:
-            self._colors.add(timestamp_us, np.array(frame.get_data()))
+            picture = np.array(frame.get_data(), dtype=np.uint8)
+            is_gray = picture.ndim < COLOR_AXES
+            self._colors.add(timestamp_us, np.repeat(picture[..., None], 3, axis=2) if is_gray else picture)
 
     def _refuse_end(self) -> None:
         """Raise SourceLostError where the device is gone, SourceEndedError after a recording: both only fall silent."""
@@ -220,6 +239,7 @@ class RealSenseCamera:
 
 
 def _device(serial: str) -> rs.device:
+    serial = serial.removesuffix(INFRARED)
     if serial.startswith(FILE):
         try:
             return rs.context().load_device(serial.removeprefix(FILE))
@@ -235,25 +255,38 @@ def _info(device: rs.device, what: rs.camera_info) -> str:
     return str(device.get_info(what)) if device.supports(what) else ""
 
 
-def _sensors(device: rs.device) -> list[rs.sensor]:
-    """Return the sensor of each stream, depth first; fewer where one is missing."""
-    found = dict[rs.stream, rs.sensor]()
-    for sensor in device.query_sensors():
-        for profile in sensor.get_stream_profiles():
-            if profile.stream_type() in STREAMS:
-                found.setdefault(profile.stream_type(), sensor)
-    return [found[kind] for kind in STREAMS if kind in found]
+def _sensor(device: rs.device, kind: rs.stream) -> rs.sensor | None:
+    """Return the first sensor that has a stream, None without one."""
+    return next((sensor for sensor in device.query_sensors() if _has(sensor, kind)), None)
+
+
+def _has(sensor: rs.sensor, kind: rs.stream) -> bool:
+    return any(profile.stream_type() == kind for profile in sensor.get_stream_profiles())
+
+
+def _grouped(device: rs.device, streams: tuple[rs.stream, rs.stream]) -> list[tuple[rs.sensor, tuple[rs.stream, ...]]]:
+    """Return the sensors that are needed, that of depth first, each with its streams: some have both."""
+    found: list[tuple[rs.sensor, tuple[rs.stream, ...]]] = []
+    left = streams
+    for sensor in sorted(device.query_sensors(), key=lambda one: not _has(one, streams[0])):
+        own = tuple(kind for kind in left if _has(sensor, kind))
+        left = tuple(kind for kind in left if kind not in own)
+        if own:
+            found.append((sensor, own))
+    return found
 
 
 def _profile(device: rs.device, kind: rs.stream, *, is_any: bool = False) -> rs.video_stream_profile:
     """Return the profile of a stream with the size, rate and format that are used, or as it was recorded."""
-    for sensor in _sensors(device):
-        for profile in sensor.get_stream_profiles():
-            if profile.stream_type() != kind or profile.format() != FORMATS[kind]:
-                continue
-            video = profile.as_video_stream_profile()
-            if is_any or (video.fps() == FPS and (video.width(), video.height()) == SIZE_PX):
-                return video
+    sensor = _sensor(device, kind)
+    # Of two infrared pictures the first is that of the camera in which depth is computed.
+    offered = [] if sensor is None else sorted(sensor.get_stream_profiles(), key=lambda one: one.stream_index())
+    for profile in offered:
+        if profile.stream_type() != kind or profile.format() != FORMATS[kind]:
+            continue
+        video = profile.as_video_stream_profile()
+        if is_any or (video.fps() == FPS and (video.width(), video.height()) == SIZE_PX):
+            return video
     size = f"{SIZE_PX[0]} x {SIZE_PX[1]}"
     raise SourceLostError(f"the camera has no {kind.name} of {size} at {FPS} frames/s: is it on a USB 3 port?")
 
@@ -268,15 +301,50 @@ WANTED = (
 """Options before the start: the device's own time, depth in mm, the projector on, no frame longer than its period."""
 
 
-def _set_up(sensor: rs.sensor, kind: rs.stream) -> None:
-    """Set the options that a sensor has, and read each back; raise SourceLostError for one that is not taken."""
+def _set_up(sensor: rs.sensor, kind: rs.stream, options: CameraOptions) -> None:
+    """Set the options that a sensor has, and read each back; raise SourceLostError for one that is not taken.
+
+    What the site has chosen has to be there. A preset comes first: it changes the others.
+    """
+    is_depth = kind == rs.stream.depth
+    if is_depth and options.preset is not None:
+        _demand(sensor, rs.option.visual_preset, _preset(options.preset), "depth_preset")
     for option, value in WANTED:
         if sensor.supports(option) and not sensor.is_option_read_only(option):
             _set(sensor, option, value, kind.name)
+    if is_depth and options.laser_percent is not None:
+        _demand(sensor, rs.option.laser_power, None, "laser_percent")
+        bounds = sensor.get_option_range(rs.option.laser_power)
+        steps = round((bounds.max - bounds.min) * options.laser_percent / 100.0 / (bounds.step or 1.0))
+        _set(sensor, rs.option.laser_power, bounds.min + steps * (bounds.step or 1.0), kind.name)
+    if is_depth and options.exposure_us is not None:
+        _demand(sensor, rs.option.exposure, None, "depth_exposure_us")
+        if sensor.supports(rs.option.enable_auto_exposure):
+            _set(sensor, rs.option.enable_auto_exposure, 0.0, kind.name)
+        _set(sensor, rs.option.exposure, float(options.exposure_us), kind.name)
+
+
+def _preset(name: str) -> float:
+    found = getattr(rs.rs400_visual_preset, name.replace("-", "_"), None)
+    if not isinstance(found, rs.rs400_visual_preset):
+        names = ", ".join(one.replace("_", "-") for one in rs.rs400_visual_preset.__members__)
+        raise SourceLostError(f"camera.depth_preset is {name}: this camera has {names}")
+    return float(int(found))
+
+
+def _demand(sensor: rs.sensor, option: rs.option, value: float | None, setting: str) -> None:
+    """Refuse a camera without an option that the site has chosen; set it where a value is given."""
+    if not sensor.supports(option) or sensor.is_option_read_only(option):
+        raise SourceLostError(f"this camera has no {option.name.replace('_', ' ')}: camera.{setting} cannot be set")
+    if value is not None:
+        _set(sensor, option, value, "depth")
 
 
 def _set(sensor: rs.sensor, option: rs.option, value: float, what: str) -> None:
-    sensor.set_option(option, value)
+    try:
+        sensor.set_option(option, value)
+    except RuntimeError as error:
+        raise SourceLostError(f"{what} {option.name.replace('_', ' ')} cannot be {value:g}: {_words(error)}") from error
     found = sensor.get_option(option)
     if abs(found - value) > 1e-3 * max(abs(value), 1e-3):
         raise SourceLostError(f"{what} {option.name.replace('_', ' ')} is {found:g} although {value:g} was set")

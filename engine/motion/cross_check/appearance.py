@@ -28,6 +28,9 @@ OTHER_BLOCK_COLOR = 0.015
 change the median of a block by up to 0.006. A sheet of nearly the shirt's hue changes every cell a little."""
 LEAST_BRIGHTNESS = 45.0
 """Sum of red, green and blue below which a cell's colour is noise."""
+EQUAL, MOST_EQUAL = 2, 0.95
+"""Channels that differ by no more are equal, as in an infrared picture that was compressed; and the share of such
+pixels above which a picture has no colour."""
 LEAST_DARK_CELLS = 21
 """Cells that lost their colour in the dark from which brightness is looked at: 3 % of the region."""
 DARKENED = 0.4
@@ -92,8 +95,10 @@ def darkened_share(before: Chroma, now: Chroma, was: Brightness, is_now: Brightn
 def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
     """Return red and green as shares of brightness, at each cell of the region, shape (700, 2); NaN where dark.
 
-    What the whole picture shares with others of its kind is subtracted.
+    What the whole picture shares with others of its kind is subtracted. An infrared picture has no colour anywhere.
     """
+    if _is_gray(color):
+        return np.full((CELL_ROWS * CELL_COLUMNS, 2), np.nan, dtype=np.float32)
     compiled = kernels()
     if compiled is None:
         return _chroma_of(color, markers_px.astype(np.float32))
@@ -103,6 +108,16 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
         np.ascontiguousarray(color), from_region, CELL_COLUMNS, PICTURE_STEP_PX, LEAST_BRIGHTNESS, chroma
     )
     return chroma
+
+
+def _is_gray(color: ColorImage) -> bool:
+    """Whether the channels are equal nearly everywhere; one row tells a colour picture, whose noise differs in them."""
+    first = color[len(color) // 2 : len(color) // 2 + 1, ::PICTURE_STEP_PX]
+    return _equal_share(first) > MOST_EQUAL and _equal_share(color[::PICTURE_STEP_PX, ::PICTURE_STEP_PX]) > MOST_EQUAL
+
+
+def _equal_share(part: ColorImage) -> float:
+    return float((part.max(axis=2) - part.min(axis=2) <= EQUAL).mean())
 
 
 def _chroma_of(color: ColorImage, corners_px: FloatArray) -> Chroma:

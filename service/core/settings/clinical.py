@@ -171,6 +171,9 @@ EXEMPT: Mapping[str, str] = {
     "sample_batch_ms": "the engine holds after max_unwritten_ms",
     "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
     "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
+    **dict.fromkeys(
+        ("depth_exposure_us", "laser_percent"), "changes noise and gaps, which residual, coverage and QA judge"
+    ),
     "keep_warm_min": "a camera that was off for longer waits for warm_up_min again",
     "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
     "audit_clock_jump_ms": NO_BEAM,

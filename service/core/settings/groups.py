@@ -4,18 +4,19 @@ Monitoring is log format and level, certificate warning and readiness cache; lim
 numbers.
 """
 
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, SecretStr, StringConstraints, model_validator
 from pydantic_settings import BaseSettings
 
+from engine.capture import CameraOptions
 from engine.core.signals import HeadDirection
 from service.core.settings.database_place import place_of
 
 if TYPE_CHECKING:  # the engine's process does without SQLAlchemy
     from sqlalchemy import URL
-from dataclasses import dataclass, fields
 
 CONNECTION_BOUNDS = {
     "header_s": (1.0, 60.0),
@@ -178,7 +179,7 @@ class RoomSettings(BaseSettings):
 
 
 class CameraSettings(BaseSettings):
-    """How long the room's camera runs; see docs/3-operate/cameras.md."""
+    """How the room's camera is set, and how long it runs; see docs/3-operate/cameras.md."""
 
     warm_up_min: float | None = Field(
         default=None,
@@ -194,6 +195,28 @@ class CameraSettings(BaseSettings):
         description="How long after a session the camera goes on running, so that the next one need not wait; its "
         "pictures are dropped. 0 stops it with the session",
     )
+
+    depth_preset: str | None = Field(
+        default=None,
+        max_length=64,
+        description="Preset of the camera's maker, such as high-accuracy; by default the camera's own",
+    )
+    depth_exposure_us: int | None = Field(
+        default=None,
+        ge=1,
+        le=200_000,
+        description="Exposure of the depth pictures; by default found by the camera in its first second, and kept",
+    )
+    laser_percent: float | None = Field(
+        default=None, ge=0.0, le=100.0, description="Power of the projector, as a share of its most; by default its own"
+    )
+
+    @property
+    def camera_options(self) -> CameraOptions:
+        """How the camera is set."""
+        return CameraOptions(
+            preset=self.depth_preset, exposure_us=self.depth_exposure_us, laser_percent=self.laser_percent
+        )
 
 
 # Settings of raw recordings.

@@ -53,7 +53,7 @@ _SECTIONS: dict[str, tuple[str, ...]] = {
     ),
     "plans": ("max_plan_bytes", "plan_patient", "plan_patient_key"),
     "beam": ("hardware_dead_man",),
-    "camera": ("warm_up_min", "keep_warm_min"),
+    "camera": ("warm_up_min", "keep_warm_min", "depth_preset", "depth_exposure_us", "laser_percent"),
     "gate": ("beam_without_calibration",),
     "training": ("retrain_interval_min",),
 }

@@ -21,6 +21,11 @@ def cable(camera: VirtualXtion) -> Path:
     return camera.path.with_suffix(".cable")
 
 
+def settings(camera: VirtualXtion) -> dict[str, dict[str, float]]:
+    """Return the options of its stereo module as they were at the "start" and at the "stop" of its stream."""
+    return json.loads(cable(camera).with_suffix(".options").read_text())
+
+
 def environment(camera: VirtualXtion, **faults: Any) -> dict[str, str]:
     """Return what makes a process see this camera as a RealSense, and no other.
 
@@ -28,7 +33,8 @@ def environment(camera: VirtualXtion, **faults: Any) -> dict[str, str]:
     ----------
     faults
         ``usb`` its connection; ``busy`` another program has it; ``hangs`` a call, "stop" or "query"; ``domain`` of its
-        times; ``clock_us`` added to them, before they wrap at 2^32; ``unit_m`` of its depth; ``serial``.
+        times; ``clock_us`` added to them, before they wrap at 2^32; ``unit_m`` of its depth; ``serial``; ``infrared``
+        whether it has such pictures, ``options`` whether its stereo module can be set (see `settings`).
     """
     own = camera.environment
     cable(camera).touch()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.calibration.device_registration import built_in_calibration
-from engine.capture import OniFileSource
+from engine.capture import CameraOptions, OniFileSource
 from engine.capture.drivers import list_cameras, open_camera
 from engine.capture.recorder import record
 from engine.core.clock import MonotonicClock
@@ -53,6 +53,21 @@ def test_it_is_listed_by_its_serial_number(seen):
     seen()
     (one,) = list_cameras("orbbec:")
     assert (one.uri, one.name) == (URI, "Femto Bolt(Playback)")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"preset": "best"}, "camera.depth_preset is best: this camera has"),
+        ({"exposure_us": 6000}, "camera.depth_exposure_us cannot be set"),
+        ({"laser_percent": 50.0}, "camera.laser_percent cannot be set"),
+    ],
+)
+def test_what_a_camera_cannot_be_set_to_is_refused_by_the_setting_s_name(seen, options, words):
+    seen()
+    source = open_camera(URI, clock=MonotonicClock(), options=CameraOptions(**options))
+    with pytest.raises(SourceLostError, match=words):
+        source.open()
 
 
 def test_frames_are_the_films_with_the_devices_times_at_its_own_rate(film, seen):

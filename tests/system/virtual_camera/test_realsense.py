@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,11 +14,13 @@ import pytest
 
 from engine.calibration import load_calibration
 from engine.calibration.device_registration import built_in_calibration
-from engine.capture import OniFileSource, describe
+from engine.capture import CameraOptions, OniFileSource, describe
 from engine.capture.drivers import list_cameras, listed_address, open_camera
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
-from tests.support.realsense.camera import SERIAL, URI, cable, environment
+from engine.core.frames import Markers
+from engine.motion.stages.markers import MarkerSearch, find_markers
+from tests.support.realsense.camera import SERIAL, URI, cable, environment, settings
 from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.alone
@@ -59,6 +62,87 @@ def test_it_is_listed_by_its_serial_number(seen):
     (one,) = list_cameras("realsense:")
     assert (one.uri, one.name) == (URI, "Virtual D435")
     assert listed_address(None, "realsense:") == URI
+
+
+def test_a_camera_with_infrared_pictures_is_listed_a_second_time_and_a_room_may_be_pinned_to_either(seen):
+    seen(infrared=True)
+    assert [(one.uri, one.name) for one in list_cameras("realsense:")] == [
+        (URI, "Virtual D435"),
+        (f"{URI}/infrared", "Virtual D435, infrared"),
+    ]
+    assert listed_address(None, URI) == URI
+    assert listed_address(None, f"{URI}/infrared") == f"{URI}/infrared"
+    with pytest.raises(SourceLostError, match="beginning of 2 cameras"):
+        listed_address(None, "realsense:")
+
+
+def test_the_infrared_picture_comes_from_the_sensor_of_depth_in_its_own_view(camera, seen):
+    seen(infrared=True)
+    address = f"{URI}/infrared"
+    known = built_in_calibration(address)
+    assert known.color == known.depth
+    assert np.abs(known.color_from_depth.translation_mm).max() == 0.0
+    source = open_camera(address, clock=MonotonicClock())
+    described = source.open()
+    try:
+        found = frames(source, 10)
+    finally:
+        source.close()
+    assert described.name == "Virtual D435, infrared, firmware 5.16.0.1"
+    assert described.color_size == described.depth_size == (640, 480)
+    for one in found:
+        assert one.color_timestamp_us == one.timestamp_us
+        assert (one.color == one.color[..., :1]).all()
+    search = MarkerSearch(diameter_px=20.0 * known.depth.fx / 850.0, superior_px=(0.0, -1.0))
+    markers = find_markers(found[-1].color, search)
+    assert isinstance(markers, Markers)
+    truth = load_calibration(camera.film.calibration_path)
+    in_color = find_markers(camera.film.pictures(0)[1], replace(search, diameter_px=20.0 * truth.color.fx / 850.0))
+    depth_mm = camera.film.pictures(0)[0]
+    for at, beside in zip(markers.centers_px, in_color.centers_px, strict=True):
+        column, row = np.rint(at).astype(int)
+        near = depth_mm[row - 12 : row + 13, column - 12 : column + 13]
+        point = truth.depth.rays(at[None]) * float(np.median(near[near > 0]))
+        assert truth.color.project(truth.color_from_depth.apply(point))[0] == pytest.approx(beside, abs=4.0)
+
+
+def test_what_the_site_sets_is_set_before_the_start_and_stays(camera, seen):
+    seen(options=True)
+    chosen = CameraOptions(preset="high-accuracy", exposure_us=6000, laser_percent=50.0)
+    source = open_camera(URI, clock=MonotonicClock(), options=chosen)
+    source.open()
+    try:
+        assert len(frames(source, 3)) == 3
+    finally:
+        source.close()
+    asked = {"visual_preset": 3.0, "enable_auto_exposure": 0.0, "exposure": 6000.0, "laser_power": 180.0}
+    assert settings(camera) == {"start": asked, "stop": asked}
+
+
+def test_the_exposure_that_was_found_in_the_first_second_is_kept(camera, seen):
+    source = seen(options=True)
+    source.open()
+    source.close()
+    noted = settings(camera)
+    assert (noted["start"]["enable_auto_exposure"], noted["stop"]["enable_auto_exposure"]) == (1.0, 0.0)
+    assert noted["stop"]["exposure"] == noted["start"]["exposure"] == 8500.0
+
+
+@pytest.mark.parametrize(
+    ("has_options", "options", "words"),
+    [
+        (True, {"preset": "best"}, "camera.depth_preset is best: this camera has .*high-accuracy"),
+        (True, {"exposure_us": 170_000}, "exposure cannot be 170000"),
+        (False, {"preset": "high-accuracy"}, "no visual preset: camera.depth_preset cannot be set"),
+        (False, {"exposure_us": 6000}, "no exposure: camera.depth_exposure_us cannot be set"),
+        (False, {"laser_percent": 50.0}, "no laser power: camera.laser_percent cannot be set"),
+    ],
+)
+def test_what_a_camera_cannot_be_set_to_is_refused_by_the_setting_s_name(seen, has_options, options, words):
+    seen(options=has_options)
+    source = open_camera(URI, clock=MonotonicClock(), options=CameraOptions(**options))
+    with pytest.raises(SourceLostError, match=words):
+        source.open()
 
 
 def test_frames_are_the_films_in_mm_with_the_devices_times_and_numbers(camera, seen):

@@ -71,6 +71,14 @@ def test_what_is_too_dark_has_no_colour():
     assert changed(BEFORE, chroma_of(dark, MARKERS_PX)) == 0.0
 
 
+def test_an_infrared_picture_has_no_colour_to_compare_however_bright_it_is():
+    gray = np.repeat(picture()[..., :1], 3, axis=2)
+    assert np.isnan(chroma_of(gray, MARKERS_PX)).all()
+    gray[240, 320, 1] += 1  # one pixel that differs by chance makes no colour picture of it
+    assert np.isnan(chroma_of(gray, MARKERS_PX)).all()
+    assert np.isfinite(chroma_of(picture(skin=(150.0, 150.0, 150.0)), MARKERS_PX)).all()
+
+
 def test_what_is_dark_now_keeps_the_colour_that_it_had_last():
     newest, sheet = BEFORE.copy(), chroma_of(picture(sheet=slice(240, 400), seed=2), MARKERS_PX)
     covered = changed_share(BEFORE, sheet, newest)

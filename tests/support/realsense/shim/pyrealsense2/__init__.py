@@ -15,6 +15,9 @@ import threading
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 HERE = str(Path(__file__).parents[1])
 GIVEN = json.loads(os.environ["VIRTUAL_REALSENSE"])
 
@@ -57,6 +60,33 @@ def _stream(kind, name_format, bpp, uid, camera):
     return stream
 
 
+OPTIONS = (
+    ("visual_preset", 0.0, 6.0, 1.0, 0.0),
+    ("enable_auto_exposure", 0.0, 1.0, 1.0, 1.0),
+    ("exposure", 1.0, 165_000.0, 1.0, 8_500.0),
+    ("laser_power", 0.0, 360.0, 30.0, 150.0),
+)
+"""Options of a D435's stereo module: least, most, step, default."""
+
+
+class ViewOfDepth:
+    """What the depth camera itself would see: brightness of the colour picture at each depth pixel's point."""
+
+    def __init__(self, calibration):
+        from engine.calibration import parse_calibration
+
+        known = parse_calibration(json.dumps(calibration).encode())
+        rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+        self._rays = known.depth.rays(np.column_stack([columns.ravel(), rows.ravel()]).astype(float))
+        self._color, self._pose = known.color, known.color_from_depth
+
+    def infrared(self, depth_mm, color):
+        z_mm = np.where(depth_mm > 0, depth_mm, np.median(depth_mm[depth_mm > 0])).reshape(-1, 1)
+        seen = self._color.project(self._pose.apply(self._rays * z_mm)).reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+        gray = cv2.cvtColor(np.asarray(color), cv2.COLOR_RGB2GRAY)
+        return np.ascontiguousarray(cv2.remap(gray, seen[..., 0], seen[..., 1], cv2.INTER_LINEAR))
+
+
 class VirtualDevice:
     """A software device, and the thread that feeds it."""
 
@@ -76,6 +106,18 @@ class VirtualDevice:
         pose.rotation = [rotation[row][column] for column in range(3) for row in range(3)]
         pose.translation = [mm / 1000.0 for mm in calibration["depth_to_color"]["translation_mm"]]
         self.profiles[0].register_extrinsics_to(self.profiles[1], pose)
+        if GIVEN.get("infrared"):
+            left = _stream(rs.stream.infrared, rs.format.y8, 1, 3, calibration["depth"])
+            left.index = 1
+            self.profiles.append(self.sensors[0].add_video_stream(left))
+            same = rs.extrinsics()
+            same.rotation, same.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+            self.profiles[0].register_extrinsics_to(self.profiles[2], same)
+            self._view = ViewOfDepth(calibration)
+        for name, low, high, step, default in OPTIONS if GIVEN.get("options") else ():
+            bounds = rs.option_range()
+            bounds.min, bounds.max, bounds.step, bounds.default = low, high, step, default
+            self.sensors[0].add_option(getattr(rs.option, name), bounds, True)
         self.sensors[0].add_read_only_option(rs.option.depth_units, UNIT_M)
         threading.Thread(target=self._feed, daemon=True).start()
 
@@ -96,6 +138,9 @@ class VirtualDevice:
                 if frame.color_timestamp_us != color_us:
                     color_us = frame.color_timestamp_us
                     self._push(1, frame.color, 3, color_us, frame.device_index)
+                if GIVEN.get("infrared"):
+                    seen = self._view.infrared(frame.depth_mm, frame.color)
+                    self._push(2, seen, 1, frame.timestamp_us, frame.device_index)
                 self._push(
                     0, (frame.depth_mm / (1000.0 * UNIT_M)).astype("uint16"), 2, frame.timestamp_us, frame.device_index
                 )
@@ -110,7 +155,7 @@ class VirtualDevice:
         made.profile = self.profiles[which].as_video_stream_profile()
         if which == 0:
             made.depth_units = UNIT_M
-        self.sensors[which].on_video_frame(made)
+        self.sensors[which % 2].on_video_frame(made)
 
 
 class context:  # noqa: N801 - the name of the SDK
@@ -165,7 +210,20 @@ class _Sensor:
             raise RuntimeError("xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or resource busy")
         self._sensor.open(profile)
 
+    def start(self, receiver):
+        self._note("start")
+        self._sensor.start(receiver)
+
+    def _note(self, when):
+        """Write down the options of a sensor that has them."""
+        path = Path(GIVEN["cable"]).with_suffix(".options")
+        if GIVEN.get("options") and self._sensor.supports(rs.option.laser_power):
+            noted = json.loads(path.read_text()) if path.exists() else {}
+            noted[when] = {name: self._sensor.get_option(getattr(rs.option, name)) for name, *_ in OPTIONS}
+            path.write_text(json.dumps(noted))
+
     def stop(self):
+        self._note("stop")
         if GIVEN.get("hangs") == "stop":
             time.sleep(3600)
         self._sensor.stop()
