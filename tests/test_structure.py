@@ -22,7 +22,7 @@ SLEEPS = {
     "tests/service/sessions/recovery/test_journal.py": "the program that is killed",
     "tests/system/engine_process/test_killed_engine.py": "a command grows too old in another process",
     "tests/system/virtual_camera/test_faults.py": "a camera delivers nothing for 0.3 s",
-    "tests/system/virtual_camera/test_realsense_session.py": "the beam stays off for 0.5 s on a camera's clock",
+    "tests/system/virtual_camera/test_sdk_sessions.py": "the beam stays off for 0.5 s on a camera's clock",
     "tests/system/virtual_camera/test_live_session.py": "the beam stays off for 0.5 s on a real camera's clock",
 }
 """Test modules that sleep, and why: nothing can be waited for. Others wait with tests/support/waiting.py."""

@@ -95,11 +95,22 @@ def listed_address(uri: str | None, pinned: str = "") -> str:
     return uri or found[0]
 
 
-def address_in_turn(turn: int, pinned: str = "") -> str:
-    """Return one of the listed cameras' addresses, another one each turn; raise SourceLostError where there is none."""
-    found = [camera.uri for camera in list_cameras(pinned)]
+def address_in_turn(turn: int, lost: str, pinned: str = "") -> str:
+    """Return where the camera of a lost address may be now: there, or at another address of its kind each turn.
+
+    Only its own SDK is asked. An address with a serial number stays the camera's.
+
+    Raises
+    ------
+    RuntimeMissingError, SourceLostError
+        Its SDK does not start, or sees no such camera.
+    """
+    driver = _driver_of(lost)
+    found = [camera.uri for camera in driver.list_cameras() if camera.uri.startswith(pinned)]
+    if driver.prefix:
+        found = [address for address in found if address == lost]
     if not found:
-        raise SourceLostError(none_text())
+        raise SourceLostError(f"{driver.label} sees no camera")
     return found[turn % len(found)]
 
 

@@ -189,7 +189,9 @@ class LocalEngine:
         turns = itertools.count()
         pinned = self._settings.camera_uri
         return ReturningSource(
-            lambda: next(first, None) or self._camera(drivers.address_in_turn(next(turns), pinned), calibration),
+            lambda: (
+                next(first, None) or self._camera(drivers.address_in_turn(next(turns), address, pinned), calibration)
+            ),
             self._clock,
             needs_serial=not calibration.is_device_registration,
         )

@@ -68,11 +68,20 @@ def test_a_room_opens_its_own_camera_and_no_other(two):
 
 
 def test_a_camera_that_comes_back_at_another_address_is_looked_for_among_the_room_s_own(two):
-    assert {drivers.address_in_turn(turn, "1d27/0609@2") for turn in range(4)} == {"1d27/0609@2/7"}
-    assert len({drivers.address_in_turn(turn) for turn in range(8)}) == 4
+    lost = "1d27/0609@2/6"
+    assert {drivers.address_in_turn(turn, lost, "1d27/0609@2") for turn in range(4)} == {"1d27/0609@2/7"}
+    assert {drivers.address_in_turn(turn, lost) for turn in range(8)} == set(two[1].cameras)
     two[1].cameras.pop()
     with pytest.raises(SourceLostError, match="sees no camera"):
-        drivers.address_in_turn(0, "1d27/0609@2")
+        drivers.address_in_turn(0, lost, "1d27/0609@2")
+
+
+def test_a_camera_that_is_known_by_its_serial_number_is_looked_for_there_and_no_other_sdk_is_asked(two, monkeypatch):
+    monkeypatch.setattr(two[1], "list_cameras", lambda: pytest.fail("the other SDK was asked"))
+    assert {drivers.address_in_turn(turn, "other:8") for turn in range(4)} == {"other:8"}
+    two[0].cameras.remove("other:8")
+    with pytest.raises(SourceLostError, match="sees no camera"):
+        drivers.address_in_turn(0, "other:8")
 
 
 def test_a_registered_view_is_asked_of_the_camera_s_driver(monkeypatch):

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from engine.capture import drivers
-from engine.capture.source import FactoryCalibration, ListedCamera, LiveSource, RegisteredView
+from engine.capture.source import AS_IT_IS, CameraOptions, FactoryCalibration, ListedCamera, LiveSource, RegisteredView
 from engine.core.clock import Clock
 from engine.core.errors import RuntimeMissingError
 
@@ -55,6 +55,7 @@ class FakeDriver:
         clock: Clock,  # noqa: ARG002
         use_registration: bool = False,
         record_to: Path | None = None,
+        options: CameraOptions = AS_IT_IS,  # noqa: ARG002
     ) -> LiveSource:
         self.opened.append({"uri": uri, "use_registration": use_registration, "record_to": record_to})
         assert self._make is not None, "this driver opens nothing"

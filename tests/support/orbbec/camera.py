@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.orbbec.bag import BagFrame, write_bag
+from tests.support.virtual_camera.camera import VirtualXtion
 from tests.support.virtual_camera.film import COLOR_LAG, Film
 
 SHIM = Path(__file__).parent / "shim"
@@ -35,6 +36,18 @@ def filmed(film: Film, count: int, *, change: Callable[[int, int], tuple[int, in
         yield BagFrame(number=number, timestamp_us=color_us, at_us=at_us + lag_us, picture=color)
 
 
+def fed(camera: VirtualXtion, folder: Path) -> dict[str, str]:
+    """Return what makes a process see a virtual Xtion as an Orbbec camera: every fault of it reaches the frames."""
+    own = camera.environment
+    cable(folder).touch()
+    return environment(folder, camera.film, 4, block=own["VIRTUAL_XTION"], redist=own["OPENNI2_REDIST"])
+
+
+def cable(folder: Path) -> Path:
+    """Return the file that is there while the camera is plugged in."""
+    return folder / "cable"
+
+
 def environment(
     folder: Path,
     film: Film,
@@ -45,9 +58,9 @@ def environment(
     **faults: Any,
 ) -> dict[str, str]:
     """Record a film and return what makes a process see it as a camera; ``hangs`` is a call, "stop"."""
-    path, cable = folder / "camera.bag", folder / "cable"
+    path = folder / "camera.bag"
     path.unlink(missing_ok=True)
     write_bag(path, film.calibration, filmed(film, count, change=change), serial=SERIAL, connection=connection)
-    cable.touch()
-    given = {"bag": str(path), "cable": str(cable), **faults}
+    cable(folder).touch()
+    given = {"bag": str(path), "cable": str(cable(folder)), **faults}
     return {"VIRTUAL_ORBBEC": json.dumps(given), "CAMERA_SDK_PATH": f"{SHIM}:{ROOT}"}

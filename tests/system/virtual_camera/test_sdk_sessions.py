@@ -1,27 +1,78 @@
-"""The whole live path with a RealSense: a real service, librealsense in its own process, and a real line's receiver.
+"""The whole live path with each maker's camera: a real service, the SDK in its own process, a real line's receiver.
 
-The camera is librealsense's software device; faults of its frames are set on the virtual Xtion that feeds it. Bounds
-and judgement are those of `test_live_session`.
+RealSense is librealsense's software device; Orbbec is OrbbecSDK's playback device with frames of its own making. The
+virtual Xtion feeds both, and has the faults. Bounds and judgement are those of `test_live_session`.
 """
 
 import os
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from tests.support.realsense.camera import SERIAL, URI, cable, environment
+from tests.support.orbbec import camera as orbbec
+from tests.support.realsense import camera as realsense
 from tests.support.scheduling_monitor import Watchman
 from tests.support.virtual_camera.beam_off import off_in_time
 from tests.support.virtual_camera.block import Streams
+from tests.support.virtual_camera.camera import VirtualXtion
 from tests.support.virtual_camera.treatment_room import room
 
 pytestmark = pytest.mark.alone
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of cameras: its address, what its SDK and its camera are called, and how it is seen and plugged in."""
+
+    uri: str
+    sdk: str
+    hint: str
+    names: str
+    seen_as: Callable[[VirtualXtion, Path], dict[str, str]]
+    cable: Callable[[VirtualXtion, Path], Path]
+
+    @property
+    def serial(self) -> str:
+        return self.uri.partition(":")[2]
+
+
+KINDS = {
+    "realsense": Kind(
+        uri=realsense.URI,
+        sdk="the RealSense SDK",
+        hint="pip install 'tidegate[realsense]'",
+        names="Virtual D435",
+        seen_as=lambda camera, _folder: realsense.environment(camera),
+        cable=lambda camera, _folder: realsense.cable(camera),
+    ),
+    "orbbec": Kind(
+        uri=orbbec.URI,
+        sdk="the Orbbec SDK",
+        hint="pip install --no-deps pyorbbecsdk2",
+        names="Orbbec Femto Bolt(Playback)",
+        seen_as=orbbec.fed,
+        cable=lambda _camera, folder: orbbec.cable(folder),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def kind(request):
+    return KINDS[request.param]
+
+
 @pytest.fixture(scope="module")
-def held(tmp_path_factory):
-    with room(tmp_path_factory.mktemp("room"), seen_as=environment, camera_uri="realsense:") as one:
+def folder(kind, tmp_path_factory):
+    return tmp_path_factory.mktemp("room")
+
+
+@pytest.fixture(scope="module")
+def held(kind, folder):
+    seen_as = lambda camera: kind.seen_as(camera, folder)  # noqa: E731
+    with room(folder, seen_as=seen_as, camera_uri=kind.uri.partition(":")[0] + ":") as one:
         yield one
 
 
@@ -58,12 +109,12 @@ def streaming_process() -> int:
     pytest.fail("no process streams")
 
 
-def test_the_camera_and_the_kinds_are_listed(held):
+def test_the_camera_and_the_kinds_are_listed(held, kind):
     listed = held.client.get("/api/v1/devices").json()
-    assert [one["uri"] for one in listed["items"]] == [URI], listed
+    assert [one["uri"] for one in listed["items"]] == [kind.uri], listed
     kinds = {one["label"]: one for one in listed["kinds"]}
-    assert kinds["the RealSense SDK"]["is_installed"]
-    assert kinds["the RealSense SDK"]["install_hint"] == "pip install 'tidegate[realsense]'"
+    assert kinds[kind.sdk]["is_installed"]
+    assert kinds[kind.sdk]["install_hint"] == kind.hint
 
 
 FAULTS = {
@@ -102,20 +153,20 @@ def test_a_camera_whose_process_is_killed_with_the_beam_on_comes_back_in_the_sam
     assert live.ons(killed_ns)
 
 
-def test_a_camera_that_is_unplugged_with_the_beam_on_is_back_when_it_is_plugged_in(live):
+def test_a_camera_that_is_unplugged_with_the_beam_on_is_back_when_it_is_plugged_in(live, kind, folder):
     live.turn_on()
     pulled_ns = time.monotonic_ns()
-    cable(live.camera).unlink()
+    kind.cable(live.camera, folder).unlink()
     live.until(lambda: not live.is_on, "an off")
     live.until(lambda: live.gate["state"] == "fault", "a fault")
     live.until(lambda: "disconnected" in live.gate["hold_detail"], "its cause")
     assert live.act("arm").status_code == 409
     assert live.ons(pulled_ns) == []
-    cable(live.camera).touch()
+    kind.cable(live.camera, folder).touch()
     live.turn_on()
 
 
-def test_without_a_calibration_the_makers_is_used_and_every_result_carries_a_warning(live):
+def test_without_a_calibration_the_makers_is_used_and_every_result_carries_a_warning(live, kind):
     live.stop()
     live.begin(calibration_id=None, model_id=None)
     detail = live.detail
@@ -124,5 +175,5 @@ def test_without_a_calibration_the_makers_is_used_and_every_result_carries_a_war
     live.until(lambda: live.detail["measurement_state"] == "measuring", "a model")
     (stored, *_) = live.client.get("/api/v1/calibrations").json()["items"]
     document = live.client.get(f"/api/v1/calibrations/{stored['id']}").json()["document"]
-    assert (document["camera"], document["serial"]) == ("device calibration: Virtual D435", SERIAL)
+    assert (document["camera"], document["serial"]) == (f"device calibration: {kind.names}", kind.serial)
     live.stop()
