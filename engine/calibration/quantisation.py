@@ -87,11 +87,18 @@ def depth_table_mm(steps: DepthSteps | None) -> FloatArray:
 
 
 def _fit_steps(levels_mm: FloatArray, rounding_mm: float) -> DepthSteps | None:
-    """Find the spacing at which the levels stand in step, then fit the line through all of them."""
-    inverse = 1.0 / (levels_mm + rounding_mm)
-    guess = float(np.median(-np.diff(inverse)))
+    """Find the spacing at which the levels stand in step, then fit the line through all of them.
+
+    Nearer than where a step is `MIN_STEP_MM` every millimetre occurs: those levels fit any steps, and would blur them.
+    """
+    guess = float(np.median(-np.diff(1.0 / (levels_mm + rounding_mm))))
     if guess * float(np.median(levels_mm)) ** 2 < MIN_STEP_MM:
         return None
+    levels_mm = levels_mm[guess * np.square(levels_mm) >= MIN_STEP_MM]
+    if len(levels_mm) < MIN_LEVELS:
+        return None
+    inverse = 1.0 / (levels_mm + rounding_mm)
+    guess = float(np.median(-np.diff(inverse)))
     # Whole turns of a clock with one step a turn: at the right step all levels point the same way.
     spacings = guess * np.linspace(*SEARCHED, SPACINGS)
     pointers = np.exp(2j * np.pi * inverse / spacings[:, None]).mean(axis=1)

@@ -1,8 +1,7 @@
 """Comparison of the sensor's depth steps of a stored model with the session's.
 
 Each session finds the steps in its first pictures (`engine.motion.tracking.region_tracker`). A model that was learned
-with
-another reading of the depths is wrong by tenths of a millimetre, in a pattern that repeats with every breath.
+with another reading of the depths is wrong by tenths of a millimetre, in a pattern that repeats with every breath.
 """
 
 from collections.abc import Callable

@@ -41,6 +41,21 @@ def test_readings_become_the_depths_their_steps_stand_for(phase, cuts_off, step_
     assert np.abs(raw - np.median(raw)).max() > 0.4
 
 
+def test_steps_narrower_than_a_millimetre_where_it_is_near_do_not_blur_those_farther_away():
+    """A stereo camera of 50 mm and 1/32 px: every millimetre occurs up to 0.78 m, every third at 1.4 m."""
+    step_per_mm = 1.0 / (383.0 * 50.0 * 32.0)
+    room_mm = 480.0 + 920.0 * (Y * 640 + X) / (480.0 * 640.0)
+    found = []
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(0.0, 2.0, room_mm.shape)
+        reading, _ = read(room_mm + noise, cuts_off=False, phase=0.3, step_per_mm=step_per_mm)
+        found.append(find_steps(count_readings(reading)))
+    on_chest = slice(780, 900)
+    tables = [depth_table_mm(steps)[on_chest] for steps in found]
+    assert all(steps.step_per_mm == pytest.approx(step_per_mm, rel=2e-3) for steps in found)
+    assert max(float(np.sqrt(np.mean((one - tables[0]) ** 2))) for one in tables) < 0.2
+
+
 def test_a_camera_that_knows_every_millimetre_is_left_alone():
     depth = np.rint(RELIEF_MM).astype(np.uint16)
     assert find_steps(count_readings(depth)) is None

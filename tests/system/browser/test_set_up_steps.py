@@ -182,6 +182,7 @@ def test_the_camera_s_figures_and_what_to_do_about_them(fake: FakeService, tab: 
     fake.sample = sample(**DISARMED | LOST | {"camera_view": VIEW | {"distance_mm": None, "advice": advice}})
     expect(camera).to_have_attribute("data-state", "attention")
     expect(camera).to_contain_text("no depth · tilt 3°")
+    expect(camera).not_to_contain_text("..")
     for text in ("Lower the camera", "Point the camera", "no depth:", "more light", "less light", "Raise", "warms up"):
         expect(camera).to_contain_text(text)
     expect(page.locator("#steps li[data-code=markers]")).to_contain_text("3 of 4 markers found.")

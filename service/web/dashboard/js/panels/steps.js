@@ -125,7 +125,7 @@ function cameraStep(sample, session) {
   ].filter((one) => one !== null);
   const warming = tr("steps.the_camera_warms_up_for_more_minutes", { value: Math.ceil(view.warm_in_s / 60) });
   const advice = view.advice.map((one) => (one === "warming_up" ? warming : ADVICE[one] ?? one));
-  return { code: "camera", state: advice.length === 0 ? "done" : "attention", text: [figures.join(" · "), ...advice].join(". "), button: null };
+  return { code: "camera", state: advice.length === 0 ? "done" : "attention", text: [figures.join(" · "), ...advice.map((one) => one.replace(/\.$/, ""))].join(". "), button: null };
 }
 
 function markersText(sample) {
