@@ -25,6 +25,7 @@ from engine.capture.source import (
     DepthSource,
     LiveSource,
     SourceDescription,
+    WarmedSource,
 )
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "ReturningSource",
     "SourceDescription",
     "StreamSummary",
+    "WarmedSource",
     "describe",
     "part_of",
 ]

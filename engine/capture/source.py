@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from engine.core.clock import Clock
 from engine.core.frames import RgbdFrame
@@ -57,6 +57,15 @@ class LiveSource(DepthSource, Protocol):
     @property
     def is_free(self) -> bool:
         """Whether no call of it hangs in the driver any more, after :meth:`close`."""
+
+
+@runtime_checkable
+class WarmedSource(Protocol):
+    """A source that knows how warm its camera is."""
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Temperature of the depth sensor or its projector [degrees C]; None where the camera does not tell it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

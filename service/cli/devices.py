@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from engine.core.errors import FrameTimeoutError, SourceLostError, TidegateError
+from engine.core.errors import FrameTimeoutError, InvalidValueError, SourceLostError, TidegateError
 from service.cli.command_group import command_group
 from service.cli.terminal import refused
 
@@ -86,16 +86,27 @@ def check(
     out: Annotated[
         Path | None, typer.Option("--out", help="File for the figures, as JSON, to send with a report.")
     ] = None,
+    calibration_file: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="Its calibration, for the shape of the surface; else its maker's."),
+    ] = None,
+    radius_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--radius-mm", help="Radius of a drum that it looks at, in place of a plane.", min=30.0, max=1000.0
+        ),
+    ] = None,
     *,
     is_replugged: Annotated[
         bool, typer.Option("--replug", help="Ask to pull the cable and plug it in again, and time the return.")
     ] = False,
 ) -> None:
-    """Look at a still, flat surface and judge rates, losses, clock, noise and drift.
+    """Look at a still, flat surface and judge rates, losses, clock, noise, drift and flatness.
 
-    Point the camera at the bare couch; let it run for half an hour to see its warm-up (--seconds 1800). Exit code 1
-    when a figure fails.
+    Point the camera at the bare couch, or at a drum of known radius across the middle of the picture; let it run for
+    half an hour to see its warm-up (--seconds 1800). Exit code 1 when a figure fails.
     """
+    from engine.calibration import built_in_calibration, load_calibration
     from engine.capture import drivers
     from engine.core.clock import MonotonicClock
     from engine.core.files import write_whole
@@ -104,9 +115,13 @@ def check(
     camera = None
     try:
         address = drivers.listed_address(source)
+        known = built_in_calibration(address) if calibration_file is None else load_calibration(calibration_file)
+        if known is None and radius_mm is not None:
+            raise InvalidValueError("radius_mm", radius_mm, "given with --calibration: this camera has none of its own")
         camera = drivers.open_camera(address, clock=MonotonicClock())
         begun_s = time.monotonic()
-        checked = DeviceCheck(described=camera.open())
+        depth = None if known is None else known.depth
+        checked = DeviceCheck(described=camera.open(), depth=depth, radius_mm=radius_mm)
         _look(camera, checked, seconds)
         opened_s = time.monotonic() - begun_s - seconds
         away_s = _replug(camera, address) if is_replugged else None
@@ -126,12 +141,15 @@ def check(
 
 
 def _look(camera: "LiveSource", checked: "DeviceCheck", seconds: float) -> None:
+    from engine.capture import WarmedSource
+
     end_s = time.monotonic() + seconds
     with _bar() as bar:
         task = bar.add_task("looking", total=seconds)
         while (left_s := end_s - time.monotonic()) > 0.0:
             try:
-                checked.add(camera.read(READ_S))
+                frame = camera.read(READ_S)
+                checked.add(frame, camera.temperature_c if isinstance(camera, WarmedSource) else None)
             except FrameTimeoutError:
                 continue
             bar.update(task, completed=seconds - left_s)
@@ -177,6 +195,7 @@ def _document(checked: "DeviceCheck", findings: "list[DeviceFinding]", opened_s:
         "frames": checked.frames,
         "opened_s": round(opened_s, 2),
         "back_after_replug_s": None if away_s is None else round(away_s, 2),
+        "curve": checked.curve(),
         "findings": [{**asdict(one), "verdict": one.verdict} for one in findings],
     }
     return json.dumps(content, indent=2) + "\n"

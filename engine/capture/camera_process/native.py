@@ -58,6 +58,9 @@ class NativeCamera(Protocol):
     def read(self, timeout_s: float) -> NativeFrame | None:
         """Return the next frame, None where none came in time; raise SourceLostError where the device is gone."""
 
+    def temperature_c(self) -> float | None:
+        """Return the temperature of the depth sensor or its projector [degrees C]; None where it is not told."""
+
     def close(self) -> None:
         """Stop the streams; it may hang."""
 

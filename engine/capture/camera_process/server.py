@@ -38,7 +38,7 @@ FRAME = struct.Struct("<4sqqqqqqq")
 FRAME_MARK, TEXT_MARK = b"FRAM", b"TEXT"
 MAX_MESSAGE = 4096
 UNKNOWN_NS = -1
-READ_S = 0.2
+READ_S, TEMPERATURE_S = 0.2, 5.0
 WAIT_S = 0.005
 
 
@@ -66,6 +66,7 @@ class Ring:
         self.slot_bytes = -(-slot_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
         self._memory = mmap.mmap(file, HEAD_BYTES + SLOTS * self.slot_bytes)
         self._taken = ctypes.c_uint64.from_buffer(self._memory)
+        self._temperature_c = ctypes.c_double.from_buffer(self._memory, ctypes.sizeof(ctypes.c_uint64))
 
     @property
     def taken(self) -> int:
@@ -75,6 +76,15 @@ class Ring:
     @taken.setter
     def taken(self, count: int) -> None:
         self._taken.value = count
+
+    @property
+    def temperature_c(self) -> float | None:
+        """The camera's temperature [degrees C]; None where it is not known."""
+        return self._temperature_c.value or None
+
+    @temperature_c.setter
+    def temperature_c(self, value: float | None) -> None:
+        self._temperature_c.value = value or 0.0
 
     def pictures(self, slot: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8]]:
         """Return depth and colour of a slot, as views of the shared memory."""
@@ -163,7 +173,10 @@ def _stream(channel: socket.socket, camera: NativeCamera) -> None:
 
 def _deliver(channel: socket.socket, camera: NativeCamera, ring: Ring, described: SourceDescription) -> None:
     sent = dropped = 0
+    asked_s = -TEMPERATURE_S
     while not _is_closed(channel):
+        if time.monotonic() - asked_s >= TEMPERATURE_S:
+            asked_s, ring.temperature_c = time.monotonic(), camera.temperature_c()
         frame = camera.read(READ_S)
         if frame is None:
             continue

@@ -121,6 +121,11 @@ class ProcessSource:
         return self._process is None
 
     @property
+    def temperature_c(self) -> float | None:
+        """The camera's temperature [degrees C]; None where it does not tell one, or is not open."""
+        return None if self._ring is None else self._ring.temperature_c
+
+    @property
     def process_id(self) -> int:
         """The id of the camera's process, while it is open."""
         assert self._process is not None

@@ -223,6 +223,16 @@ class OrbbecCamera:
             msg = "the Orbbec camera was disconnected"
             raise SourceLostError(msg)
 
+    def temperature_c(self) -> float | None:
+        """Return the temperature of the depth sensor, or of its projector."""
+        if self._device is None or self._is_file:
+            return None
+        try:
+            told = self._device.get_temperature()
+        except ob.OBError:
+            return None
+        return next((float(one) for one in (told.ir_temperature, told.laser_temperature) if one > 0.0), None)
+
     def close(self) -> None:
         """Stop the streams; it may hang."""
         while self._sensors:

@@ -229,6 +229,14 @@ class RealSenseCamera:
             msg = "the RealSense camera was disconnected"
             raise SourceLostError(msg)
 
+    def temperature_c(self) -> float | None:
+        """Return the temperature of the projector, or of the chip that computes depth."""
+        for option in (rs.option.projector_temperature, rs.option.asic_temperature):
+            with suppress(RuntimeError):
+                if self._started and self._started[0].supports(option):
+                    return float(self._started[0].get_option(option))
+        return None
+
     def close(self) -> None:
         """Stop the streams; it may hang."""
         while self._started:

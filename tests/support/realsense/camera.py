@@ -34,7 +34,8 @@ def environment(camera: VirtualXtion, **faults: Any) -> dict[str, str]:
     faults
         ``usb`` its connection; ``busy`` another program has it; ``hangs`` a call, "stop" or "query"; ``domain`` of its
         times; ``clock_us`` added to them, before they wrap at 2^32; ``unit_m`` of its depth; ``serial``; ``infrared``
-        whether it has such pictures, ``options`` whether its stereo module can be set (see `settings`).
+        whether it has such pictures; ``temperature_c`` that it tells; ``options`` whether its stereo module can be set
+        (see `settings`).
     """
     own = camera.environment
     cable(camera).touch()

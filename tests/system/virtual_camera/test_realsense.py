@@ -335,13 +335,14 @@ def test_it_is_listed_and_checked_on_the_command_line(camera, tmp_path):
     assert "pip install --no-deps pyorbbecsdk2" in listed
     assert "tidegate[realsense]" in listed
     out = tmp_path / "check.json"
-    done = run(camera, "devices", "check", "--source", URI, "--seconds", "6", "--out", str(out))
+    done = run(camera, "devices", "check", "--source", URI, "--seconds", "6", "--out", str(out), temperature_c=41.5)
     document = json.loads(out.read_text())
     assert document["camera"]["serial"] == SERIAL
     found = {one["code"]: one for one in document["findings"]}
     # A volunteer breathes below it, so that the picture is not still; its times are what is looked at here.
     assert {found[code]["verdict"] for code in ("back", "repeated")} == {"pass"}
     assert {"rate", "missed", "gap", "clock", "jitter", "colour", "holes", "noise_16", "drift"} <= found.keys()
+    assert (found["temperature"]["value"], document["curve"][-1]["temperature_c"]) == (41.5, 41.5)
     assert "noise of a pixel" in done.stdout
     assert done.returncode in {0, 1}
 

@@ -114,6 +114,8 @@ class VirtualDevice:
             same.rotation, same.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
             self.profiles[0].register_extrinsics_to(self.profiles[2], same)
             self._view = ViewOfDepth(calibration)
+        if GIVEN.get("temperature_c"):
+            self.sensors[0].add_read_only_option(rs.option.asic_temperature, GIVEN["temperature_c"])
         for name, low, high, step, default in OPTIONS if GIVEN.get("options") else ():
             bounds = rs.option_range()
             bounds.min, bounds.max, bounds.step, bounds.default = low, high, step, default
