@@ -1,7 +1,6 @@
 """Orbbec cameras: the real OrbbecSDK, its own playback as the device, in the camera's process."""
 
 import time
-from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +11,8 @@ from engine.capture import CameraOptions, OniFileSource
 from engine.capture.drivers import list_cameras, open_camera
 from engine.capture.recorder import record
 from engine.core.clock import MonotonicClock
-from engine.core.errors import FrameTimeoutError, SourceLostError
+from engine.core.errors import SourceLostError
+from tests.support.capture.sdk_cameras import frames, until_lost
 from tests.support.orbbec.camera import PERIOD_US, SERIAL, URI, environment
 from tests.support.virtual_camera.film import baked
 
@@ -34,19 +34,6 @@ def seen(film, monkeypatch, tmp_path):
         return open_camera(URI, clock=MonotonicClock())
 
     return see
-
-
-def frames(source, count):
-    found = []
-    while len(found) < count:
-        found.append(source.read(5.0))
-    return found
-
-
-def until_lost(source):
-    while True:
-        with suppress(FrameTimeoutError):
-            source.read(0.5)
 
 
 def test_it_is_listed_by_its_serial_number(seen):

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -20,6 +19,7 @@ from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, RuntimeMissingError, SourceLostError
 from engine.core.frames import Markers
 from engine.motion.stages.markers import MarkerSearch, find_markers
+from tests.support.capture.sdk_cameras import frames, until_lost
 from tests.support.realsense.camera import SERIAL, URI, cable, environment, settings
 from tests.support.waiting import eventually
 
@@ -39,22 +39,9 @@ def seen(camera, monkeypatch):
     return see
 
 
-def frames(source, count):
-    found = []
-    while len(found) < count:
-        found.append(source.read(5.0))
-    return found
-
-
 def until_silent(source):
     while True:
         source.read(0.5)
-
-
-def until_lost(source):
-    while True:
-        with suppress(FrameTimeoutError):
-            source.read(0.5)
 
 
 def test_it_is_listed_by_its_serial_number(seen):

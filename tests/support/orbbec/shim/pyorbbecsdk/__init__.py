@@ -5,30 +5,18 @@
 end, as frames of the SDK, and the recording says what the camera is.
 """
 
-import importlib
 import json
 import os
-import sys
 import threading
 import time
 from pathlib import Path
 
-HERE = str(Path(__file__).parents[1])
+from tests.support.capture.sdk_cameras import real_package
+
 GIVEN = json.loads(os.environ["VIRTUAL_ORBBEC"])
 
 
-def _real():
-    """Import the wheel's package in place of this one."""
-    path, mine = list(sys.path), sys.modules.pop(__name__)
-    sys.path[:] = [one for one in path if one != HERE]
-    try:
-        return importlib.import_module(__name__)
-    finally:
-        sys.path[:] = path
-        sys.modules[__name__] = mine
-
-
-ob = _real()
+ob = real_package(__name__, str(Path(__file__).parents[1]))
 globals().update({name: getattr(ob, name) for name in dir(ob) if not name.startswith("__")})
 
 

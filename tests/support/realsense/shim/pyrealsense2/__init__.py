@@ -7,10 +7,8 @@ another runtime. Frames pass through librealsense: queues, profiles, formats, op
 plugged in, and what is wrong with the device (see `tests.support.realsense.camera.environment`).
 """
 
-import importlib
 import json
 import os
-import sys
 import threading
 import time
 from pathlib import Path
@@ -18,22 +16,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-HERE = str(Path(__file__).parents[1])
+from tests.support.capture.sdk_cameras import real_package
+
 GIVEN = json.loads(os.environ["VIRTUAL_REALSENSE"])
 
 
-def _real():
-    """Import the wheel's package in place of this one."""
-    path, mine = list(sys.path), sys.modules.pop(__name__)
-    sys.path[:] = [one for one in path if one != HERE]
-    try:
-        return importlib.import_module(__name__)
-    finally:
-        sys.path[:] = path
-        sys.modules[__name__] = mine
-
-
-rs = _real()
+rs = real_package(__name__, str(Path(__file__).parents[1]))
 globals().update({name: getattr(rs, name) for name in dir(rs) if not name.startswith("__")})
 
 SERIAL = GIVEN.get("serial", "0123456789")
