@@ -7,12 +7,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from engine.capture import drivers
+from engine.capture import SourceDescription, drivers
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, SourceLostError
 from engine.core.warmth import Warmth
+from service.core.schemas.sessions import DeviceSource
+from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.camera_warmth import NAME, CameraKeeper, WarmingSource, WarmthFile, warm_up_s
+from service.engine_host.local_engine import LocalEngine
+from service.engine_host.roles import SessionPlan
+from tests.support.capture.fake_driver import FakeDriver, use
+from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.waiting import eventually
 
 ADDRESS, OTHER = "realsense:1234", "orbbec:77"
@@ -180,3 +186,49 @@ def test_the_site_s_warm_up_goes_before_the_kind_s():
     assert warm_up_s("orbbec:1", Settings()) == 2700.0
     assert warm_up_s("1d27/0601@1/7", Settings()) == 900.0
     assert warm_up_s(ADDRESS, Settings(warm_up_min=7.0)) == 420.0
+
+
+class Exclusive(Camera):
+    """A camera that only one can have open at a time."""
+
+    holder: "Exclusive | None" = None
+
+    def open(self):
+        assert Exclusive.holder is None, "another has it"
+        Exclusive.holder, self.is_open = self, True
+        sizes = {"depth_size": (640, 480), "color_size": (640, 480)}
+        return SourceDescription(kind="fake", name="fake", fps=30.0, is_live=True, **sizes)
+
+    def read(self, timeout_s):
+        threading.Event().wait(min(timeout_s, 0.01))
+        raise FrameTimeoutError("none")
+
+    def close(self):
+        if Exclusive.holder is self:
+            Exclusive.holder, self.is_open = None, False
+
+
+def test_a_session_gets_the_camera_that_was_kept_running(settings, monkeypatch):
+    monkeypatch.setattr(Exclusive, "holder", None)
+    monkeypatch.setattr("service.engine_host.camera_warmth.KEEP_FROM_S", 0.0)
+    use(monkeypatch, FakeDriver(["1d27/0601@1/2"], make=Exclusive))
+    settings.data_dir.mkdir(exist_ok=True)
+    WarmthFile(settings.data_dir).write("1d27/0601@1/2", Warmth(900.0, 0.5), is_used=True)
+    adapter = LocalEngine(settings)
+    adapter.stand_by()
+    eventually(lambda: Exclusive.holder is not None)
+    kept = Exclusive.holder
+    engine = adapter.open(
+        SessionPlan(
+            session_id="0" * 32,
+            source=DeviceSource(kind="device"),
+            recording=None,
+            calibration=make_calibration(),
+            window=Window.model_validate(WINDOW),
+        )
+    )
+    try:
+        eventually(lambda: Exclusive.holder not in {None, kept})
+        assert not kept.is_open
+    finally:
+        engine.stop()
