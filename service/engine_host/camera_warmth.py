@@ -28,7 +28,8 @@ NAME = "camera-warmth.json"
 SAVE_S = 10.0
 KEEP_FROM_S, RETRY_S = 3.0, 30.0
 """How long after the start of a process on standby a camera is taken, and after a failure again [s]."""
-READ_S, END_S = 1.0, 5.0
+READ_S, END_S = 1.0, 22.0
+"""Longest read; and how long a camera that is being opened may take until it is released again [s]."""
 S_PER_MIN = 60.0
 FRAMES_BETWEEN_LOOKS = 300
 
@@ -110,6 +111,7 @@ class WarmingSource:
     def open(self) -> SourceDescription:
         """Open the source."""
         described = self._source.open()
+        self._stop = threading.Event()
         self._saver = threading.Thread(target=self._run, name="camera-warmth", daemon=True)
         self._saver.start()
         return described
