@@ -13,6 +13,8 @@ thread ends that started the process.
 """
 
 import ctypes
+import multiprocessing
+import os
 import signal
 
 import cv2
@@ -54,6 +56,14 @@ def give_freed_memory_back() -> None:
 
 _PR_SET_PDEATHSIG = 1
 # <sys/prctl.h>
+
+
+def end_with_the_pool() -> None:
+    """Kill this worker of a pool of processes when the process that made the pool ends, or has ended."""
+    signal_at_parent_death(signal.SIGKILL)
+    parent = multiprocessing.parent_process()
+    if parent is not None and not parent.is_alive():
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def signal_at_parent_death(number: signal.Signals) -> None:

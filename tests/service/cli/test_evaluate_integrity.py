@@ -1,14 +1,19 @@
 """``tidegate evaluate integrity``: what it refuses, and what it writes."""
 
 import csv
+import subprocess
+import sys
 
 import numpy as np
+import psutil
 import pytest
 from typer.testing import CliRunner
 
 from engine.lab.evaluation.integrity import bench
 from engine.lab.evaluation.integrity.session import SIGNALS, Session
 from service.cli import app
+from tests.support.repository import ROOT
+from tests.support.waiting import eventually
 
 
 def called(*words):
@@ -61,3 +66,21 @@ def test_the_table_has_a_row_a_case_and_strict_fails_on_errors(tmp_path, monkeyp
     }
     assert {row["largest error [mm]"] for row in rows} == {"2.0"}
     assert called(*words, "--strict").exit_code == 1
+
+
+@pytest.mark.slow
+def test_its_workers_end_with_a_command_that_is_killed(tmp_path):
+    words = [sys.executable, "-m", "service.cli", "evaluate", "integrity", "--kind", "honest, regular", "--jobs", "1"]
+    command = subprocess.Popen([*words, "--out", str(tmp_path)], cwd=ROOT, stderr=subprocess.DEVNULL)
+    try:
+        eventually(lambda: workers_of(command.pid))
+        (worker, *_) = workers_of(command.pid)
+    finally:
+        command.kill()
+        command.wait()
+    eventually(lambda: not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE)
+
+
+def workers_of(parent: int) -> list[psutil.Process]:
+    found = psutil.Process(parent).children(recursive=True)
+    return [one for one in found if "spawn_main" in " ".join(one.cmdline())]

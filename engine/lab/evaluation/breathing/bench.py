@@ -17,6 +17,7 @@ import numpy as np
 from engine.core.bounds import check_number, check_whole_number
 from engine.core.errors import RecordingError
 from engine.core.frames import FloatArray
+from engine.core.native_process import end_with_the_pool
 from engine.lab.evaluation.breathing.trials import (
     DRIFT_S,
     EVENT_S,
@@ -210,5 +211,6 @@ def _scored(planned: list[Job], jobs: int, on_done: Callable[[int], object]) -> 
 
 
 def _end_quietly() -> None:
-    """Let Ctrl-C end a worker at once; the command reports the cancellation."""
+    """Let Ctrl-C end a worker at once, as the command reports it, and the command's own end at any time."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_the_pool()

@@ -18,6 +18,7 @@ import numpy as np
 from engine.core.bounds import check_whole_number
 from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.frames import BoolArray
+from engine.core.native_process import end_with_the_pool
 from engine.core.signals import HeadDirection
 from engine.lab.evaluation.integrity.cases import FALSE_S, Case
 from engine.lab.evaluation.integrity.session import FPS, WRONG_MM, Session, Volunteer, learn, run
@@ -108,9 +109,10 @@ def _collect(calls: Sequence[Callable[[], T]], pool: ProcessPoolExecutor, on_don
 
 
 def _prepare_worker() -> None:
-    """Use one core, and let Ctrl-C end the process at once; the command reports it."""
+    """Use one core, and let Ctrl-C end the process at once, as the command reports it, and the command's own end."""
     cv2.setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_the_pool()
 
 
 def jobs_of(cases: Sequence[Case], volunteers: Sequence[int]) -> int:
