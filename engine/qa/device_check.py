@@ -176,7 +176,7 @@ class DeviceCheck:
             noise_mm = (
                 float(np.median(self._steps[side])) / (0.6745 * np.sqrt(2.0)) if self._steps[side] else float("nan")
             )
-            bounds = {1: (4.0, 8.0), 16: (0.8, 1.6)}.get(side, (None, None))
+            bounds = {1: (4.0, 8.0), 16: (0.8, 1.2)}.get(side, (None, None))
             title = f"noise of squares of {side} px" if side > 1 else "noise of a pixel"
             yield DeviceFinding(
                 code=f"noise_{side}", title=title, value=noise_mm, unit="mm", warn=bounds[0], fail=bounds[1]

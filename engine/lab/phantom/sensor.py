@@ -229,6 +229,8 @@ SENSORS = {
 }
 """Sensor models by name."""
 SENSORS[STRUCTURED_LIGHT] = SENSORS[USUAL]
+SENSORS["active-stereo-rough"] = replace(SENSORS["active-stereo"], noise_shifts=0.1 * DISPARITY_STEPS)
+"""The other end of what is published of active stereo: twice the noise."""
 
 BENCHED = (USUAL, "locking")
 """The models of the article's sensor, on which every bench runs; the others where they are asked for."""

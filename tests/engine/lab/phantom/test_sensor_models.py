@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from engine.capture.source import SourceDescription
 from engine.core.errors import InvalidValueError
+from engine.core.frames import RgbdFrame
 from engine.lab.phantom.rig import HEIGHT_PX, STEPS_A_MM, WIDTH_PX
 from engine.lab.phantom.sensor import SENSORS, STEPS_A_PX, Holes, Sensor, Unit, depth_table_mm, find_sensor, shift_of
+from engine.qa.device_check import DeviceCheck
 
 FRAMES = 24
 MEASURED_MM = {1: 0.98, 4: 0.59, 8: 0.46, 16: 0.28, 32: 0.16}
@@ -72,7 +75,8 @@ def test_the_usual_sensor_has_no_error_that_depends_on_the_phase():
 def test_an_unknown_sensor_is_refused():
     with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking, active-stereo"):
         find_sensor("lidar")
-    assert set(SENSORS) == {"usual", "locking", "active-stereo", "time-of-flight", "structured-light"}
+    names = {"usual", "locking", "active-stereo", "active-stereo-rough", "time-of-flight", "structured-light"}
+    assert set(SENSORS) == names
     assert find_sensor("structured-light") is find_sensor("usual")
 
 
@@ -150,3 +154,30 @@ def test_the_error_of_time_of_flight_swings_with_the_range():
     wanted = 0.6 * np.sin(2.0 * np.pi * ranges / 300.0)
     assert np.corrcoef(errors, wanted)[0, 1] > 0.98
     assert np.ptp(errors) == pytest.approx(1.2, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [("usual", "pass"), ("time-of-flight", "pass"), ("active-stereo", "pass"), ("active-stereo-rough", "fail")],
+)
+def test_the_check_of_a_device_fails_the_noise_with_which_nothing_can_be_gated(name, verdict):
+    sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 5, name)
+    size = (WIDTH_PX, HEIGHT_PX)
+    described = SourceDescription(kind="x", name=name, depth_size=size, color_size=size, fps=30.0, is_live=True)
+    checked = DeviceCheck(described=described)
+    color = np.zeros((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+    for i in range(95):
+        couch_mm = np.full(color.shape[:2], 850.0, np.float32)
+        checked.add(
+            RgbdFrame(
+                index=i,
+                device_index=i,
+                timestamp_us=33_333 * i,
+                color_timestamp_us=33_333 * i,
+                received_ns=33_333_000 * i,
+                depth_mm=sensor.read(couch_mm, NO_HOLES, frame=i, time_s=5000.0),
+                color=color,
+            )
+        )
+    found = {one.code: one for one in checked.findings()}
+    assert found["noise_16"].verdict == verdict, found["noise_16"]
