@@ -22,7 +22,7 @@ TINY = {"volunteer": 4, "seconds": 2.0, "seed": 3, "fps": 5.0}
 def lit_studio(volunteer, scenario):
     seconds = 30.0 if scenario == "shift" else 20.0
     made = Studio(Script(scenario=scenario, volunteer=volunteer, seconds=seconds, fps=30.0, seed=1, has_laser=True))
-    made._color_camera.expose = lambda scene, _frame: scene.copy()
+    made._color_camera.expose = lambda scene, _frame, _time_s: scene.copy()
     return made
 
 

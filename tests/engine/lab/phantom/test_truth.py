@@ -61,7 +61,7 @@ def test_grid_corners_lie_on_the_stickers(studio, scenario, volunteer, time_s):
 
 
 def noise_free(made, time_s):
-    made._color_camera.expose, kept = lambda scene, _frame: scene, made._color_camera.expose
+    made._color_camera.expose, kept = lambda scene, _frame, _time_s: scene, made._color_camera.expose
     try:
         return made.color_frame(0, time_s).astype(float)
     finally:
