@@ -24,6 +24,7 @@ class Warmth:
     """
 
     def __init__(self, warm_up_s: float, cold_share: float = 1.0) -> None:
+        self.warm_up_s = warm_up_s
         self._constant_s = warm_up_s / math.log(1.0 / COLD_LEFT)
         self.cold_share = cold_share if warm_up_s > 0.0 else 0.0
         self._last_ns: int | None = None

@@ -127,15 +127,8 @@ class LocalEngine:
     def _begun(
         self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
     ) -> "LoopEngine":
-        if isinstance(plan.source, sessions.DeviceSource):
-            address = drivers.listed_address(plan.source.uri, self._settings.camera_uri)
-            warmth = self._warmth.read(address, warm_up_s(address, self._settings))
-            limits = replace(limits, warm_up_s=warm_up_s(address, self._settings), cold_share=warmth.cold_share)
-            camera = self._returning_camera(address, plan.calibration)
-            source: DepthSource = WarmingSource(camera, warmth, self._warmth, address)
-        else:
-            assert plan.recording is not None, "a recording was resolved when the session started"
-            source, warmth = self._player(plan.recording, plan.source.player), Warmth(0.0)
+        source, warmth = self._source(plan)
+        limits = replace(limits, warm_up_s=warmth.warm_up_s, cold_share=warmth.cold_share)
         beam = make_beam_line(self._settings, self._clock)
         loop = EngineLoop(
             source=source,
@@ -182,6 +175,16 @@ class LocalEngine:
         return sessions.DeviceList(
             is_runtime_available=True, detail=detail, kinds=sessions.device_kinds(drivers.kinds()), items=items
         )
+
+    def _source(self, plan: SessionPlan) -> tuple[DepthSource, Warmth]:
+        """Return a session's frames, and how warm its camera is; a recording needs no warming."""
+        if not isinstance(plan.source, sessions.DeviceSource):
+            assert plan.recording is not None, "a recording was resolved when the session started"
+            return self._player(plan.recording, plan.source.player), Warmth(0.0)
+        address = drivers.listed_address(plan.source.uri, self._settings.camera_uri)
+        warmth = self._warmth.read(address, warm_up_s(address, self._settings))
+        camera = self._returning_camera(address, plan.calibration)
+        return WarmingSource(camera, warmth, self._warmth, address), warmth
 
     def _returning_camera(self, address: str, calibration: Calibration) -> DepthSource:
         """Return a source that reopens the camera; its address may change, so all listed ones are tried in turn."""

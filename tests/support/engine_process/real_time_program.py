@@ -9,6 +9,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+from engine.core.warmth import Warmth
 from service.engine_host import local_engine
 from service.engine_host.local_engine import LocalEngine, LoopEngine
 from service.engine_host.process.__main__ import main
@@ -42,7 +43,7 @@ def _without_model(status):
 
 def spoil() -> None:
     """Let engines of this process be such ones."""
-    LocalEngine._source = lambda self, _plan: PacedSource(self._clock)
+    LocalEngine._source = lambda self, _plan: (PacedSource(self._clock), Warmth(0.0))
     local_engine.Pipeline = _pipeline
     local_engine.make_beam_line = _line
     with_model = LoopEngine.status.fget
