@@ -4,11 +4,14 @@ A session's engine has a process of its own, so the warmth is in a file, written
 delivers. What cannot be read there counts as cold: that only lengthens the time until the beam may be on.
 """
 
+import fcntl
 import json
 import logging
+import os
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -31,7 +34,9 @@ KEEP_FROM_S, RETRY_S = 3.0, 30.0
 READ_S, END_S = 1.0, 22.0
 """Longest read; and how long a camera that is being opened may take until it is released again [s]."""
 S_PER_MIN = 60.0
-FRAMES_BETWEEN_LOOKS = 300
+FRAMES_BETWEEN_LOOKS = 15
+WANTED, KEPT = "camera.wanted", "camera.kept"
+CLAIM_POLL_S = 0.05
 
 
 class Seen(NamedTuple):
@@ -136,6 +141,87 @@ class WarmingSource:
             self._file.write(self._address, self._warmth, is_used=self._is_used)
 
 
+class CameraClaim:
+    """Who has the room's camera: what needs it claims it, and the keeper, in another process, lets go.
+
+    The claim is an advisory lock of the operating system on one file, the keeper's hold one on another; both go when
+    their process ends, however that ends.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._wanted, self._kept = folder / WANTED, folder / KEPT
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether something needs the camera."""
+        with _locked(self._wanted) as is_free:
+            return not is_free
+
+    @contextmanager
+    def kept(self) -> Iterator[bool]:
+        """Hold the camera as its keeper; yields whether it may be kept."""
+        with _locked(self._kept) as is_free:
+            yield is_free and not self.is_wanted
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Need the camera: yields once its keeper has let go, or has not within `END_S`."""
+        with _locked(self._wanted):
+            deadline_s = time.monotonic() + END_S
+            while time.monotonic() < deadline_s:
+                with _locked(self._kept) as is_free:
+                    if is_free:
+                        break
+                time.sleep(CLAIM_POLL_S)
+            yield
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[bool]:
+    """Yield whether the lock on a file could be had; a folder that cannot be written locks nothing."""
+    try:
+        held = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+        else:
+            yield True
+    finally:
+        os.close(held)
+
+
+class ClaimingSource:
+    """A source of the room's camera that is claimed for as long as it is open."""
+
+    def __init__(self, source: DepthSource, claim: CameraClaim) -> None:
+        self._source, self._claim = source, claim
+        self._held = ExitStack()
+
+    def open(self) -> SourceDescription:
+        """Claim the camera and open it."""
+        self.close()
+        self._held.enter_context(self._claim.claimed())
+        try:
+            return self._source.open()
+        except BaseException:
+            self._held.close()
+            raise
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        """Return the next frame."""
+        return self._source.read(timeout_s)
+
+    def close(self) -> None:
+        """Close the source, and let the camera be kept again."""
+        self._source.close()
+        self._held.close()
+
+
 class CameraKeeper:
     """Keeps the camera of the last session running while its process is on standby; what it sees is dropped.
 
@@ -144,6 +230,7 @@ class CameraKeeper:
 
     def __init__(self, settings: Settings, file: WarmthFile, clock: Clock) -> None:
         self._settings, self._file, self._clock = settings, file, clock
+        self._claim = CameraClaim(settings.data_dir)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._has_ended = False
@@ -185,7 +272,9 @@ class CameraKeeper:
             if address is None:
                 continue
             try:
-                self._keep(address, stop)
+                with self._claim.kept() as may_keep:
+                    if may_keep:
+                        self._keep(address, stop)
             except TidegateError as error:
                 logger.info("the camera does not run between sessions: %s", error)
 
@@ -205,7 +294,7 @@ class CameraKeeper:
         source = WarmingSource(camera, warmth, self._file, address, is_used=False)
         try:
             source.open()
-            while not stop.is_set() and self._address() == address:
+            while not stop.is_set() and self._address() == address and not self._claim.is_wanted:
                 for _ in range(FRAMES_BETWEEN_LOOKS):
                     if stop.is_set():
                         break

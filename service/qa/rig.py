@@ -27,6 +27,7 @@ from engine.qa import (
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
+from service.engine_host.camera_warmth import CameraClaim, ClaimingSource
 from service.engine_host.site_rules.calibrations import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.jobs import QaFiles
@@ -120,8 +121,9 @@ class EngineRig:
         if recording is not None:
             return OniFileSource(recording, clock=self._clock)
         is_registered = calibration.is_device_registration
-        source = drivers.open_camera(drivers.listed_address(uri), clock=self._clock, use_registration=is_registered)
-        return checked_camera(source, calibration, self._settings)
+        address, options = drivers.listed_address(uri, self._settings.camera_uri), self._settings.camera_options
+        source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered, options=options)
+        return ClaimingSource(checked_camera(source, calibration, self._settings), CameraClaim(self._settings.data_dir))
 
 
 def _given(calibration: Calibration | None) -> Calibration:

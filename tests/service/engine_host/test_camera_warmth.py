@@ -1,6 +1,8 @@
 """How warm the room's camera is from session to session, and a camera that runs on between two of them."""
 
 import json
+import subprocess
+import sys
 import threading
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
@@ -14,10 +16,19 @@ from engine.core.warmth import Warmth
 from service.core.schemas.sessions import DeviceSource
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.camera_warmth import NAME, CameraKeeper, WarmingSource, WarmthFile, warm_up_s
+from service.engine_host.camera_warmth import (
+    NAME,
+    CameraClaim,
+    CameraKeeper,
+    ClaimingSource,
+    WarmingSource,
+    WarmthFile,
+    warm_up_s,
+)
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import SessionPlan
 from tests.support.capture.fake_driver import FakeDriver, use
+from tests.support.repository import ROOT
 from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.waiting import eventually
 
@@ -159,6 +170,45 @@ def test_the_camera_runs_on_between_two_sessions_until_the_next_one_needs_it(fil
     assert before is not cameras[ADDRESS]
     keeper.start()  # after its end nothing takes the camera again
     assert not cameras[ADDRESS].is_open
+
+
+def test_what_needs_the_camera_in_another_process_gets_it_and_the_keeper_takes_it_back(
+    file, tmp_path, cameras, monkeypatch
+):
+    monkeypatch.setattr("service.engine_host.camera_warmth.RETRY_S", 0.05)
+    file.write(ADDRESS, warm(0.5), is_used=True)
+    keeper = CameraKeeper(Settings(data_dir=tmp_path), file, MonotonicClock())
+    keeper.start()
+    eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 100)
+    program = (
+        "import sys; from pathlib import Path; from service.engine_host.camera_warmth import CameraClaim\n"
+        "with CameraClaim(Path(sys.argv[1])).claimed():\n    print('mine', flush=True); sys.stdin.read()"
+    )
+    words = [sys.executable, "-c", program, str(tmp_path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as other:
+        assert other.stdout.readline() == b"mine\n"
+        assert not cameras[ADDRESS].is_open
+        first = cameras.pop(ADDRESS)
+        threading.Event().wait(0.3)
+        assert ADDRESS not in cameras  # not taken back while it is claimed
+        other.kill()  # however it ends
+    eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 100)
+    assert not first.is_open
+    keeper.end()
+
+
+def test_qa_claims_the_camera_from_its_opening_to_its_close(tmp_path):
+    claim, camera = CameraClaim(tmp_path), Camera()
+    source = ClaimingSource(camera, claim)
+    assert not claim.is_wanted
+    source.open()
+    assert (camera.is_open, claim.is_wanted) == (True, True)
+    source.close()
+    assert (camera.is_open, claim.is_wanted) == (False, False)
+    camera.open = lambda: (_ for _ in ()).throw(SourceLostError("unplugged"))
+    with pytest.raises(SourceLostError):
+        source.open()
+    assert not claim.is_wanted
 
 
 @pytest.mark.parametrize(
