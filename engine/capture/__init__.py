@@ -25,7 +25,7 @@ from engine.capture.source import (
     DepthSource,
     LiveSource,
     SourceDescription,
-    WarmedSource,
+    TemperatureSource,
 )
 
 __all__ = [
@@ -40,7 +40,7 @@ __all__ = [
     "ReturningSource",
     "SourceDescription",
     "StreamSummary",
-    "WarmedSource",
+    "TemperatureSource",
     "describe",
     "part_of",
 ]

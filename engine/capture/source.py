@@ -60,12 +60,12 @@ class LiveSource(DepthSource, Protocol):
 
 
 @runtime_checkable
-class WarmedSource(Protocol):
-    """A source that knows how warm its camera is."""
+class TemperatureSource(Protocol):
+    """A source whose camera reports its temperature."""
 
     @property
     def temperature_c(self) -> float | None:
-        """Temperature of the depth sensor or its projector [degrees C]; None where the camera does not tell it."""
+        """Temperature of the depth sensor or its projector [degrees C]; None where the camera reports none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -141,7 +141,7 @@ def check(
 
 
 def _look(camera: "LiveSource", checked: "DeviceCheck", seconds: float) -> None:
-    from engine.capture import WarmedSource
+    from engine.capture import TemperatureSource
 
     end_s = time.monotonic() + seconds
     with _bar() as bar:
@@ -149,7 +149,7 @@ def _look(camera: "LiveSource", checked: "DeviceCheck", seconds: float) -> None:
         while (left_s := end_s - time.monotonic()) > 0.0:
             try:
                 frame = camera.read(READ_S)
-                checked.add(frame, camera.temperature_c if isinstance(camera, WarmedSource) else None)
+                checked.add(frame, camera.temperature_c if isinstance(camera, TemperatureSource) else None)
             except FrameTimeoutError:
                 continue
             bar.update(task, completed=seconds - left_s)

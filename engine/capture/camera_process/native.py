@@ -59,7 +59,7 @@ class NativeCamera(Protocol):
         """Return the next frame, None where none came in time; raise SourceLostError where the device is gone."""
 
     def temperature_c(self) -> float | None:
-        """Return the temperature of the depth sensor or its projector [degrees C]; None where it is not told."""
+        """Return the temperature of the depth sensor or its projector [degrees C]; None if the camera reports none."""
 
     def close(self) -> None:
         """Stop the streams; it may hang."""

@@ -228,10 +228,10 @@ class OrbbecCamera:
         if self._device is None or self._is_file:
             return None
         try:
-            told = self._device.get_temperature()
+            reported = self._device.get_temperature()
         except ob.OBError:
             return None
-        return next((float(one) for one in (told.ir_temperature, told.laser_temperature) if one > 0.0), None)
+        return next((float(one) for one in (reported.ir_temperature, reported.laser_temperature) if one > 0.0), None)
 
     def close(self) -> None:
         """Stop the streams; it may hang."""

@@ -43,16 +43,16 @@ def test_it_follows_the_equation_of_a_body_that_is_heated(parts, cold):
 
 
 def test_frames_count_as_running_and_a_pause_between_them_as_rest():
-    counted, told = Warmth(WARM_UP_S), Warmth(WARM_UP_S)
+    counted, expected = Warmth(WARM_UP_S), Warmth(WARM_UP_S)
     for number in range(300):
         counted.frame(number * 10**9)
-    told.run(299.0)
-    assert counted.cold_share == pytest.approx(told.cold_share)
+    expected.run(299.0)
+    assert counted.cold_share == pytest.approx(expected.cold_share)
     counted.frame((299 + 240) * 10**9)
-    told.rest(240.0)
-    assert counted.cold_share == pytest.approx(told.cold_share)
+    expected.rest(240.0)
+    assert counted.cold_share == pytest.approx(expected.cold_share)
     counted.frame(0)  # a clock that goes back warms nothing
-    assert counted.cold_share == pytest.approx(told.cold_share)
+    assert counted.cold_share == pytest.approx(expected.cold_share)
 
 
 def test_what_needs_no_warm_up_is_always_warm():
