@@ -6,31 +6,55 @@ VENV := .venv
 CLIENT_VENV := .venv-client-generator
 CLIENT_STAMP := $(CLIENT_VENV)/.installed
 BIN := $(VENV)/bin
+PRODUCT := $(VENV)/.product
 STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup openni test-system check check-tests test tests processors lint security types contracts documents planted demo bench load faults kills mutants fuzz sanitize sbom scan lock clean docker-test release bundle
 
+demo:  ## two minutes: a virtual volunteer through the whole of Tidegate; KEEP=1 stays up, PORT=8080 another port
+	@$(MAKE) --no-print-directory -j2 $(PRODUCT) openni
+	@$(BIN)/tidegate demo $(if $(KEEP),--keep) $(if $(PORT),--port $(PORT))
+
+test: $(STAMP) $(CLIENT_STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
+	@mkdir -p build; failed=; $(call OTHERS,lint security types contracts); $(MAKE) --no-print-directory tests || failed=" tests"; $(THEIRS)
+
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-setup: $(STAMP) $(CLIENT_STAMP) openni  ## make .venv from the lock file, and the OpenNI2 runtime where it may
+setup: $(STAMP) $(CLIENT_STAMP) openni  ## make .venv from the lock files, and the OpenNI2 runtime where it may
+
+# uv installs what is locked in a tenth of pip's time; it does not read pip's settings, so a mirror is handed to it.
+UV_INSTALL = mirror="$${UV_DEFAULT_INDEX:-$${PIP_INDEX_URL:-$$($(BIN)/pip config get global.index-url 2>/dev/null)}}"; \
+	$${mirror:+env UV_DEFAULT_INDEX="$$mirror"} $(BIN)/uv pip install
+
+$(BIN)/uv: requirements-dev.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
+	@echo "Making $(VENV): Python, then the packages of the lock files"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing: apt-get install python3-venv"; exit 1; }
+	@for one in uv setuptools; do sed -n "/^$$one==/,/[^\\\\]$$/p" requirements-dev.lock; done >$(VENV)/tools.lock
+	@$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r $(VENV)/tools.lock
+	@touch $@
+
+# What runs: the packages of the room's lock, and Tidegate itself.
+$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
+	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements.lock
+	@echo "Compiling the frame path"
+	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -c 'from engine.core.compiled import frame_path; print("Frame path:", frame_path())'
+	@touch $@
 
 # A generator of clients, for one test: it needs an older typer than the product.
-$(CLIENT_STAMP): tests/client_generator.lock $(STAMP)
-	@test -x $(CLIENT_VENV)/bin/python || $(BIN)/python -m venv $(CLIENT_VENV)
-	$(CLIENT_VENV)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r tests/client_generator.lock
+$(CLIENT_STAMP): tests/client_generator.lock $(BIN)/uv
+	@$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(CLIENT_VENV)
+	@$(UV_INSTALL) --quiet --python $(CLIENT_VENV)/bin/python --require-hashes -r tests/client_generator.lock
 	@touch $(CLIENT_STAMP)
 
-$(STAMP): requirements-dev.lock requirements-orbbec.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing: apt-get install python3-venv"; exit 1; }
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-orbbec.lock
-	PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@$(BIN)/python -c 'from engine.core.compiled import frame_path; print("Frame path:", frame_path())'
-	@touch $(STAMP)
+$(STAMP): $(PRODUCT) requirements-dev.lock requirements-orbbec.lock
+	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements-dev.lock
+	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --require-hashes -r requirements-orbbec.lock
+	@touch $@
 
 openni:
 	@docker/install-debian-packages.sh libopenni2-0 || echo "Until then recordings are played by Tidegate's own reader; live cameras are not available."
@@ -42,7 +66,7 @@ test-system:
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-check check-tests test tests: export PYTHONDONTWRITEBYTECODE :=
+demo check check-tests test tests: export PYTHONDONTWRITEBYTECODE :=
 
 # Lint, types and contracts run beside the tests.
 OTHERS = $(MAKE) --no-print-directory --keep-going $(1) >build/check.log 2>&1 & others=$$!; trap 'kill $$others' INT
@@ -55,9 +79,6 @@ check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
 # Which test is of which part: tests/support/selection.py. Every part runs, whatever came of those before it.
-test: $(STAMP) $(CLIENT_STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@mkdir -p build; failed=; $(call OTHERS,lint security types contracts); $(MAKE) --no-print-directory tests || failed=" tests"; $(THEIRS)
-
 # Three processes on two cores where no time is judged: one of them often waits for a browser, a database or a service.
 tests:
 	@rm -rf build/tests; failed=; \
@@ -68,9 +89,6 @@ tests:
 
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
 	nice $(BIN)/python -m tests.support.processor_features -n 2 --dist loadfile
-
-demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up, PORT=8080 another port
-	$(BIN)/tidegate demo $(if $(KEEP),--keep) $(if $(PORT),--port $(PORT))
 
 bench: $(STAMP)  ## how fast it is, against the marks, then two minutes of load; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))

@@ -934,6 +934,7 @@ class QaTrend(TypedDict):
 
 
 ReadinessCode = Literal[
+    "anchors_inside",
     "audit_trouble",
     "camera_latency",
     "camera_runtime_missing",
@@ -941,6 +942,8 @@ ReadinessCode = Literal[
     "certificate_ends_soon",
     "certificate_unreadable",
     "clock_behind",
+    "clock_doubted",
+    "database_log_large",
     "database_unwritable",
     "disk_low",
     "engine_missing",
@@ -1000,6 +1003,7 @@ class Recording(TypedDict):
     fps: int | None
     has_color: bool | None
     height_px: int | None
+    mirrored: str | None
     modified_at: str | None
     path: str
     problem: str | None
@@ -1532,17 +1536,29 @@ class ReportSignature(TypedDict):
     """A note to a session that is over, or a signature under its report."""
 
     at: str
+    content_sha256: str
+    is_of_this: bool
     is_signed: bool
     name: str
     note: str
-    samples_sha256: str
+
+
+class ReportWindow(TypedDict):
+    """A window of the session: as it was prescribed, and each one that was set or moved later."""
+
+    actor: str
+    at: str
+    reason: str
+    text: str
 
 
 class SessionReport(TypedDict):
     """A session as its report states it."""
 
     calibration_sha256: str
+    content_sha256: str
     deviations: list[str]
+    differs: list[str]
     events: list[ReportEvent]
     figures: ReportFigures
     model: str
@@ -1554,6 +1570,7 @@ class SessionReport(TypedDict):
     signatures: list[ReportSignature]
     signatures_needed: int
     software: str
+    windows: list[ReportWindow]
 
 
 class SessionRequest(TypedDict):

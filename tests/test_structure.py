@@ -1,7 +1,9 @@
-"""The structure of the tests: what they import of each other, and that every path which a build names exists."""
+"""The structure of the code: constants on top, budgets of lines and words, imports of tests, paths that builds name."""
 
 import ast
+import builtins
 import re
+import tomllib
 
 import pytest
 
@@ -11,6 +13,9 @@ from tests.support.selection import PARTS, SLOW_FOLDERS, module_marks
 TESTS = ROOT / "tests"
 MODULES = sorted(path for path in TESTS.rglob("*.py") if "data" not in path.relative_to(TESTS).parts)
 TEST_MODULE = re.compile(r"^tests(\.\w+)*\.(test_\w+|conftest)$")
+PRODUCT = sorted(path for name in ("engine", "service") for path in (ROOT / name).rglob("*.py"))
+DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+BUDGETS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["tidegate"]
 NAMED_PATH = re.compile(r"(?<![\w./-])tests/[\w/]+(?:\.\w+)?")
 
 
@@ -118,3 +123,84 @@ def test_a_run_of_a_part_takes_the_modules_that_are_marked_so_and_no_other(pytes
 def test_every_module_is_of_one_part():
     modules = [path for path in MODULES if path.name.startswith("test_")]
     assert [path for path in modules if len(module_marks(path) & set(PARTS)) > 1] == []
+
+
+def names_in(*nodes: ast.AST, bound: bool = False) -> set[str]:
+    """Return the names that are read, or bound, anywhere in the nodes."""
+    of_kind = ast.Store if bound else ast.Load
+    found = {
+        one.id for node in nodes for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, of_kind)
+    }
+    if bound:
+        every = [one for node in nodes for one in ast.walk(node)]
+        found |= {one.arg for one in every if isinstance(one, ast.arg)}
+        found |= {(one.asname or one.name).split(".")[0] for one in every if isinstance(one, ast.alias)}
+    return found
+
+
+def late_constants(source: str) -> list[str]:
+    """Return the module constants that stand below a definition although they need none of the module."""
+    body = ast.parse(source).body
+    first = next((place for place, node in enumerate(body) if isinstance(node, DEFINITIONS)), len(body))
+    known = set(dir(builtins)) | {"__name__", "__file__"} | names_in(*body[:first], bound=True)
+    late = []
+    for node in body[first:]:
+        if not isinstance(node, ast.Assign | ast.AnnAssign):
+            continue
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        if names_in(node) - names_in(node, bound=True) <= known and all(isinstance(one, ast.Name) for one in targets):
+            late += sorted(names_in(*targets, bound=True))
+            known |= names_in(*targets, bound=True)
+    return late
+
+
+def test_constants_stand_above_the_first_definition():
+    """A second block of constants shows two modules that were put into one file."""
+    written = [path for path in PRODUCT if path != ROOT / "service/client.py"]  # one file on purpose, the types made
+    found = {str(path.relative_to(ROOT)): late_constants(path.read_text(encoding="utf-8")) for path in written}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+@pytest.mark.parametrize(
+    ("below", "late"),
+    [
+        ("B = A + 1", ["B"]),
+        ("B: int = len([n for n in range(A)])", ["B"]),
+        ("B = {A: f}", []),
+        ("B = f(A)\nC = B", []),
+        ("B = A\nC = B", ["B", "C"]),
+    ],
+    ids=["a number", "a comprehension", "a table of functions", "made by a function", "one of another"],
+)
+def test_a_constant_is_late_unless_it_needs_what_is_defined_above_it(below, late):
+    assert late_constants(f"A = 1\ndef f(a): return a\n{below}\n") == late
+
+
+def lines_of(folder: str) -> int:
+    return sum(path.read_text(encoding="utf-8").count("\n") for path in (ROOT / folder).rglob("*.py"))
+
+
+def words_of(folder: str) -> int:
+    return sum(len(path.read_text(encoding="utf-8").split()) for path in (ROOT / folder).rglob("*.md"))
+
+
+@pytest.mark.parametrize("folder", BUDGETS["lines"])
+def test_code_is_within_its_budget(folder):
+    """A budget is raised only in a change whose ADR says what was taken out for it."""
+    assert lines_of(folder) <= BUDGETS["lines"][folder]
+
+
+@pytest.mark.parametrize("folder", BUDGETS["words"])
+def test_documents_are_within_their_budget(folder):
+    assert words_of(folder) <= BUDGETS["words"][folder]
+
+
+def test_every_package_and_every_folder_of_documents_has_a_budget():
+    """Of the large folders the next level has one each, so that one cannot grow on what another lost."""
+    packages = {
+        f"{top}/{path.name}" for top in ("engine", "service") for path in (ROOT / top).iterdir() if path.is_dir()
+    }
+    assert BUDGETS["lines"].keys() == {name for name in packages if lines_of(name)} | {"tests"}
+    assert BUDGETS["words"].keys() == {
+        f"docs/{path.name}" for path in (ROOT / "docs").iterdir() if words_of(f"docs/{path.name}")
+    }

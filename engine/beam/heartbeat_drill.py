@@ -27,6 +27,14 @@ NOT_VERIFIABLE = "not verifiable: no second input configured"
 
 LEAST_REPEATS = 3
 """Heartbeats that a receiver must have answered before its contact is said to stay open with them."""
+MARGIN_MS = 50.0
+"""Allowed beside `RECEIVER_DROP_MS` for the exchange before the standstill, the look, and threads that wake late."""
+WAITED_NS = 500 * NS_PER_MS
+"""How long the contact is waited for; then the receiver counts as one that does not drop the permit."""
+WATCHED_NS = 60 * NS_PER_MS
+"""How long an open contact is watched, without heartbeats and again with them."""
+STOPPED_NS = 250 * NS_PER_MS
+"""Longest wait for the exchange in progress."""
 
 
 class StandingLine(Protocol):
@@ -105,19 +113,6 @@ class DrilledReceiver:
     name: str
     line: StandingLine
     second_input: SecondInput | None
-
-
-MARGIN_MS = 50.0
-"""Allowed beside `RECEIVER_DROP_MS` for the exchange before the standstill, the look, and threads that wake late."""
-
-WAITED_NS = 500 * NS_PER_MS
-"""How long the contact is waited for; then the receiver counts as one that does not drop the permit."""
-
-WATCHED_NS = 60 * NS_PER_MS
-"""How long an open contact is watched, without heartbeats and again with them."""
-
-STOPPED_NS = 250 * NS_PER_MS
-"""Longest wait for the exchange in progress."""
 
 
 class NotVerifiableError(BeamLineError):

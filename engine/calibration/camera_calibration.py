@@ -7,7 +7,7 @@ missing keys are refused, and each refusal names the field, the value and the bo
 import hashlib
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,10 @@ from engine.core.geometry import Intrinsics, RigidTransform
 from engine.core.strict_json import ROOT, StrictJson
 
 SCHEMA = "tidegate.calibration/1"
-MAX_BASELINE_MM = 200.0
+MIN_BASELINE_MM, MAX_BASELINE_MM = 5.0, 200.0
+SAME_PLACE_MM = 1e-6
+"""Two cameras in one housing are in one place, or 5 to 200 mm apart; the same digits in metres are 0.005 to 0.2."""
+JACOBIAN_STEPS = 65
 ROTATION_TOLERANCE = 1e-3
 REGISTRATION_NAME = "device registration"
 """Prefix of the camera's name in a nominal calibration, for a device that registers depth to colour itself."""
@@ -106,10 +109,28 @@ class Calibration:
         """Whether this is the nominal geometry of a device's own registration, and nothing was measured."""
         return self.camera.startswith(REGISTRATION_NAME)
 
+    def of_mirrored_pictures(self) -> "Calibration":
+        """Return the calibration for pictures that are mirrored against those of this one: x points the other way."""
+        flip = np.diag([-1.0, 1.0, 1.0])
+        pose = self.color_from_depth
+        return replace(
+            self,
+            depth=_mirrored(self.depth),
+            color=_mirrored(self.color),
+            color_from_depth=RigidTransform(
+                rotation=flip @ pose.rotation @ flip, translation_mm=flip @ pose.translation_mm
+            ),
+        )
+
     @property
     def sha256(self) -> str:
         """Identity of this calibration, hexadecimal."""
         return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+
+def _mirrored(camera: Intrinsics) -> Intrinsics:
+    k1, k2, p1, p2, k3 = camera.distortion
+    return replace(camera, cx=camera.width - 1.0 - camera.cx, distortion=(k1, k2, p1, -p2, k3))
 
 
 def nominal_calibration(
@@ -204,7 +225,7 @@ def _camera(field: str, value: object) -> Intrinsics:
     if not 0.8 <= focal["fx"] / focal["fy"] <= 1.25:
         raise CalibrationError(f"{field}.fy", focal["fy"], f"within 25 % of {field}.fx ({focal['fx']})")
     k1, k2, p1, p2, k3 = STRICT.vector(f"{field}.distortion", camera["distortion"], 5, -10.0, 10.0)
-    return Intrinsics(
+    intrinsics = Intrinsics(
         width=width,
         height=height,
         fx=focal["fx"],
@@ -213,6 +234,28 @@ def _camera(field: str, value: object) -> Intrinsics:
         cy=STRICT.number(f"{field}.cy", camera["cy"], 0.0, height - 1.0),
         distortion=(k1, k2, p1, p2, k3),
     )
+    least = least_magnification(intrinsics)
+    if not least > 0.0:
+        bound = f"a distortion that keeps the picture's points in their order: its Jacobian is {least:.3g} at the least"
+        raise CalibrationError(f"{field}.distortion", camera["distortion"], f"{bound}, and has to stay above 0")
+    return intrinsics
+
+
+def least_magnification(camera: Intrinsics) -> float:
+    """Return the least determinant of the distortion's Jacobian over the picture: 1 without distortion.
+
+    Where it is not above 0 two places of the scene have the same pixel, as with the coefficients of another lens model.
+    """
+    columns = (np.linspace(0.0, camera.width - 1.0, JACOBIAN_STEPS) - camera.cx) / camera.fx
+    rows = (np.linspace(0.0, camera.height - 1.0, JACOBIAN_STEPS) - camera.cy) / camera.fy
+    x, y = np.meshgrid(columns, rows)
+    k1, k2, p1, p2, k3 = camera.distortion
+    r2 = x**2 + y**2
+    radial, slope = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
+    across = 2.0 * (x * y * slope + p1 * x + p2 * y)
+    along_x = radial + 2.0 * x**2 * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    along_y = radial + 2.0 * y**2 * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    return float((along_x * along_y - across**2).min())
 
 
 def _pose(field: str, value: object) -> RigidTransform:
@@ -232,8 +275,9 @@ def _pose(field: str, value: object) -> RigidTransform:
         STRICT.vector(f"{field}.translation_mm", pose["translation_mm"], 3, -MAX_BASELINE_MM, MAX_BASELINE_MM)
     )
     baseline = float(np.linalg.norm(translation))
-    if baseline > MAX_BASELINE_MM:
-        raise CalibrationError(f"{field}.translation_mm", baseline, f"at most {MAX_BASELINE_MM} mm long")
+    if not (baseline <= SAME_PLACE_MM or MIN_BASELINE_MM <= baseline <= MAX_BASELINE_MM):
+        bound = f"0 or {MIN_BASELINE_MM:g} to {MAX_BASELINE_MM:g} mm long: two cameras in one housing; is it in metres?"
+        raise CalibrationError(f"{field}.translation_mm", f"{baseline:g} long", bound)
     return RigidTransform(rotation=rotation, translation_mm=translation)
 
 

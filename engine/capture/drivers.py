@@ -23,6 +23,10 @@ from engine.core.errors import RecordingError, RuntimeMissingError, SourceLostEr
 
 CAMERAS: tuple[CameraDriver, ...] = (REALSENSE, ORBBEC, OpenNiDriver())
 """Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
+MAKERS = {b"/device_0/sensor_": REALSENSE, b"/cam/sensor_": ORBBEC}
+"""What recordings of a maker's SDK hold: the names of their topics."""
+SUFFIXES = (".bag", ".db3")
+ENDS_BYTES = 1 << 22
 
 
 def is_any_installed() -> bool:
@@ -136,6 +140,11 @@ def warm_up_s(uri: str | None) -> float:
     return _driver_of(uri).warm_up_s
 
 
+def most_noise_mm(uri: str | None) -> float:
+    """Return the noise of a training from which a camera is not as its kind should be [mm]."""
+    return _driver_of(uri).most_noise_mm
+
+
 def factory_calibration(uri: str) -> FactoryCalibration | None:
     """Return a camera's own calibration; see :meth:`engine.capture.source.CameraDriver.factory_calibration`."""
     return _driver_of(uri).factory_calibration(uri)
@@ -187,12 +196,6 @@ def recording_source(source: str | Path | None, *, clock: Clock, record_to: Path
     if player is None:
         raise RuntimeMissingError(missing_text())
     return player
-
-
-MAKERS = {b"/device_0/sensor_": REALSENSE, b"/cam/sensor_": ORBBEC}
-"""What recordings of a maker's SDK hold: the names of their topics."""
-SUFFIXES = (".bag", ".db3")
-ENDS_BYTES = 1 << 22
 
 
 def maker_recording(path: Path) -> str | None:

@@ -11,7 +11,10 @@ from engine.core.geometry import Intrinsics, RigidTransform
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceDescription:
-    """Description of a source, for the audit and the page; ``serial`` is empty for a device without one."""
+    """Description of a source, for the audit and the page; ``serial`` is empty for a device without one.
+
+    ``cold_share`` is how cold it is as it is opened (`engine.core.warmth`), None where that is not known: cold.
+    """
 
     kind: str
     name: str
@@ -20,6 +23,7 @@ class SourceDescription:
     fps: float
     is_live: bool
     serial: str = ""
+    cold_share: float | None = None
 
 
 class DepthSource(Protocol):
@@ -137,6 +141,10 @@ class CameraDriver(Protocol):
     @property
     def warm_up_s(self) -> float:
         """How long readings of its cameras drift after their start [s]."""
+
+    @property
+    def most_noise_mm(self) -> float:
+        """Noise of a training, as a motion model's, from which a camera is not as it should be [mm]."""
 
     @property
     def is_player(self) -> bool:

@@ -51,7 +51,7 @@ class Countersignature:
     @property
     def is_required(self) -> bool:
         """Whether the next arming is one that a second person has to countersign."""
-        return self._limits.current.needs_countersignature and self._budget.is_first_arming
+        return self._limits.current.needs_countersignature and self._budget.is_unsigned
 
     def sign(self, command: Countersign, arming_state: str) -> None:
         """Sign what was looked at.
@@ -155,8 +155,7 @@ class ArmingOutlook:
             limits.window,
             (limits.dwell_ms, limits.min_on_ms, limits.min_off_ms, limits.max_cycles_per_min),
             limits.head_direction,
-            learning.reference_number,
-            learning.model_generation,
+            learning.model_generation,  # of the reference too
         )
         if present != self._hashed:
             self._hashed, self._hash = present, hashlib.sha256(repr(present).encode()).hexdigest()[:32]

@@ -43,6 +43,12 @@ from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import AmplitudeWindow
 
+LEVEL_TOLERANCE_MM = MOVE_TOLERANCE_MM = 0.5
+"""How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
+NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
+"""Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
+NOT_WHAT_WAS_SEEN = say("{advice}, then arm", advice=OTHER_STATE)
+
 
 class ModelFollower:
     """Remembers with which model the gate was armed, and for which reference the window was resolved."""
@@ -51,10 +57,16 @@ class ModelFollower:
         self._learner, self._limits = learner, limits
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
+        self._is_depth_known = False
 
     def has_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call."""
         before, self._generation = self._generation, self._learner.status.model_generation
+        if before == self._generation and self._is_depth_known:
+            return False
+        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
+        self._limits.use_breaths(ranges)
+        self._is_depth_known = bool(ranges)
         return before != self._generation
 
     def resolve_window(self) -> None:
@@ -74,15 +86,6 @@ class ModelFollower:
     def resolve_again(self) -> None:
         """Resolve another window with the next frame: by then a range may be known."""
         self._resolved_for = None
-
-
-LEVEL_TOLERANCE_MM = MOVE_TOLERANCE_MM = 0.5
-"""How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
-NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
-"""Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
-
-
-NOT_WHAT_WAS_SEEN = say("{advice}, then arm", advice=OTHER_STATE)
 
 
 class _Level(NamedTuple):
@@ -244,7 +247,8 @@ class CommandHandler:
         self._controller.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
 
     def _arm(self, command: Arm, inputs: CommandInputs) -> None:
-        self._follower.has_changed()  # armed with what is present now
+        if self._follower.has_changed():  # armed with what is present now
+            self._controller.rescale()
         self._follower.resolve_window()
         if inputs.operator_absence:
             raise CommandRefusedError(
@@ -261,13 +265,14 @@ class CommandHandler:
         self._outlook.forecast.refuse_free_breath()
         self._budget.check_arming(command)
         self._outlook.countersignature.refuse_unsigned(command, self._outlook.state, reference_by=self._reference_by)
+        signed = self._outlook.signed
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(say("a fault came up: {reason}", reason=self._controller.gate.reason))
-        self._budget.note_armed()
+        self._budget.note_armed(command.operator, signed.signed_by)
 
     def _sign(self, command: Countersign | SignPosition) -> None:
         """Sign window and reference as a second person, or the patient's position."""

@@ -34,12 +34,8 @@ class DecisionRecords:
         self._clock, self._limits, self._outputs = clock, limits, outputs
         self._views, self._tap = views, tap
         self._watchdog_recorded = threading.Lock()  # taken by the thread that records it first: watchdog or engine
-
-    @property
-    def newest_measurement(self) -> Measurement | None:
+        self.newest_measurement: Measurement | None = None
         """The measurement of the newest frame that was decided on; None before the first."""
-        view = self._views.newest
-        return None if view is None else view.record.measurement
 
     def prepare(self, decision: Decision) -> int | None:
         """Write a permit into the journal before the line is asked; return its number. A hold waits for nothing."""
@@ -55,6 +51,7 @@ class DecisionRecords:
             self._outputs.abort(self._transition(decision), prepared)
         frame, measurement = decision.cause.frame, decision.cause.measurement
         if frame is not None and measurement is not None:
+            self.newest_measurement = measurement
             sample = self._sample(decision, measurement, is_on=report.is_on)
             self._outputs.put_sample(sample)
             self._tap.emit(sample)

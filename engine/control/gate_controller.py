@@ -18,12 +18,14 @@ from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam,
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import LostReason, Measurement, MeasurementState, RoomChange
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.replacing import replace
 from engine.core.sentences import listed, say
 from engine.core.signals import Ranges, signal_of
 from engine.gating.active_window import SetWindow, window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.gating.interlocks import WATCHDOG_DETAIL, DecisionInputs, interlocks
+from engine.gating.windows import rescaled
 
 DOUBTED = {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}
 """Losses of a frame in which patient and markers are seen, and the surface is not believed."""
@@ -61,7 +63,7 @@ class GateController:
         watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
         self.gate = Gate(since_ns=clock.now_ns())
         self._supervision: tuple[Interruption, ...] = ()
-        self._holds: dict[str, bool] = {}  # operator: whether that is a person
+        self._holds: list[str] = []
 
     def decide(
         self, *events: GateEvent, cause: Cause | None = None, supervision: tuple[Interruption, ...] | None = None
@@ -128,12 +130,13 @@ class GateController:
 
     def disarm(self, command: Disarm) -> None:
         """Disarm; the operator's own hold by hand ends with it, that of another person stands."""
-        self._holds.pop(command.operator, None)
+        self._end_hold(command.operator)
         self.decide(command, cause=Cause(operator=command.operator))
 
     def hold(self, command: HoldBeam) -> None:
         """Hold until the operator releases, or for a person's hold another person; the first who held stays named."""
-        self._holds.setdefault(command.operator, command.is_person)
+        if command.operator not in self._holds:
+            self._holds.append(command.operator)
         self.decide(cause=Cause(operator=command.operator))
 
     def release(self, command: ReleaseBeam) -> None:
@@ -144,14 +147,17 @@ class GateController:
         if not self._holds:
             raise CommandRefusedError(say("no operator holds the beam"))
         if command.operator in self._holds:
-            del self._holds[command.operator]
+            self._end_hold(command.operator)
         elif command.is_person:
-            self._holds = {}
+            self._holds = []
         else:
             raise CommandRefusedError(
                 say("held by {holds}: a program ends only its own hold", holds=listed(", ", self._holds))
             )
         self.decide(command, cause=Cause(operator=command.operator))
+
+    def _end_hold(self, operator: str) -> None:
+        self._holds = [one for one in self._holds if one != operator]
 
     def correct_baseline(self, command: CorrectBaseline) -> None:
         """Disarm, then move the window; both windows are recorded even where the gate was not armed."""
@@ -176,6 +182,10 @@ class GateController:
         detail = say("the window was {before} and is {after}", before=window_text(before), after=window_text(after))
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._limits.use_change(change)
+
+    def rescale(self) -> None:
+        """Note that motion counts from another reference, or is measured with another model: no breath, and no end."""
+        self.gate = replace(self.gate, conditions=rescaled(self.gate.conditions))
 
     def refuse_without_fresh_signal(self) -> None:
         """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""

@@ -19,6 +19,7 @@ from engine.control.position_sign_off import PositionState
 from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.fraction_arming import FractionArming
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningStatus
@@ -27,18 +28,20 @@ from engine.core.reference import ReferenceDistance
 from engine.core.replacing import replace
 from engine.core.sentences import listed, say
 from engine.core.signals import Ranges
+from engine.gating.delivery import is_age_known
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.checks import CheckState
 from engine.gating.supervision.patient_shift import Movement
 
-# Statistics of one engine's frames: count, rate and latency.
-
 LATENCY_SAMPLES = 512
 FRAMES_PER_SUMMARY = 8
 """Percentiles are computed once in this many frames: sorting at every frame would add latency."""
+BACK_DETAIL = say("it is back: acknowledge, set the reference, arm")
+"""Added to the detail of a lost camera that delivers frames again."""
 
 
+# Statistics of one engine's frames: count, rate and latency.
 class LatencyStatistics:
     """Running statistics; owned by the engine thread."""
 
@@ -83,10 +86,6 @@ class LatencyStatistics:
         )
 
 
-BACK_DETAIL = say("it is back: acknowledge, set the reference, arm")
-"""Added to the detail of a lost camera that delivers frames again."""
-
-
 def no_signal() -> BeamOnState | None:
     """Return None: the accelerator's beam-on signal is no input."""
     return None
@@ -110,7 +109,7 @@ def no_checks() -> tuple[CheckState, ...]:
 def _is_clock_checked(decision: Decision, limits: GateLimits) -> bool:
     """Whether the age of the newest frame is known by the camera's clock; that of a recording's frames is not."""
     last = decision.gate.last
-    return not limits.is_played and last is not None and last.delivery.fresh_ns is not None
+    return not limits.is_played and last is not None and is_age_known(last.delivery, last.received_ns)
 
 
 class LiveViews:
@@ -256,6 +255,8 @@ class EngineStatus:
         Whether a person has to arm, with a reason: conditions joined by or, or a window beyond the fraction's budget.
     countersignature
         Whether the next arming needs a second person, and who has signed what it would take.
+    fraction_arming
+        What the fraction was armed with, by this session or an earlier one; None where it was not.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -268,6 +269,7 @@ class EngineStatus:
     arming_state: str = ""
     is_reason_needed: bool = False
     countersignature: CountersignatureState = field(default_factory=CountersignatureState)
+    fraction_arming: FractionArming | None = None
 
     @property
     def is_over(self) -> bool:

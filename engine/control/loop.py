@@ -39,6 +39,7 @@ from engine.core.errors import (
     SourceEndedError,
     SourceLostError,
 )
+from engine.core.fraction_arming import FractionArming
 from engine.core.frames import RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
@@ -78,6 +79,8 @@ class EngineLoop:
         The accelerator's signal compared with the permit, for the view alone; by default there is none.
     camera_view
         Describes how the camera looks, for the view alone, while the gate is disarmed; by default nothing does.
+    fraction_arming
+        What earlier sessions of the fraction were armed with; None where it was not armed.
 
     Attributes
     ----------
@@ -102,6 +105,7 @@ class EngineLoop:
         tap: InputTap = NO_TAP,
         beam_on: Callable[[], BeamOnState | None] = no_signal,
         camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
+        fraction_arming: FractionArming | None = None,
     ) -> None:
         self._source, self._learner, self._beam = source, learner, beam
         self._tap, self._clock = tap, TappedClock(clock, tap)
@@ -128,7 +132,9 @@ class EngineLoop:
             tap=tap,
         )
         self._line = line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        supervisor, budget = FrameSupervisor(limits), ReferenceBudget(learner, self._limits)
+        supervisor, budget = FrameSupervisor(limits), ReferenceBudget(learner, self._limits, fraction_arming)
+        self._budget = budget
+        self._supervisor = supervisor
         sign_off, follower = PositionSignOff(learner, self._limits), ModelFollower(learner, self._limits)
         self._outlook = ArmingOutlook(learner, self._limits, budget)
         self._views = LiveViews(
@@ -309,6 +315,7 @@ class EngineLoop:
         description = self._tap.observe(InputKind.SOURCE_OPENED, self._source.open)
         self._opened_ns = self._clock.now_ns()
         self._limits.set_played(is_played=not description.is_live)
+        self._supervisor.begin(description.cold_share)
         self._views.begin(description)
         self._publish()
 
@@ -346,6 +353,7 @@ class EngineLoop:
             arming_state=self._outlook.state,
             is_reason_needed=self._outlook.is_reason_needed,
             countersignature=self._outlook.signed,
+            fraction_arming=self._budget.arming,
         )
 
 

@@ -22,6 +22,15 @@ from engine.core.position_check import PositionCheck, PositionTolerance
 from engine.core.sentences import listed, say
 from engine.gating.gate import Interruption
 
+LONGEST_UNSEEN_S = 60.0
+"""A patient who was not measured for longer may have been moved."""
+CAMERA_MOVED = say("the camera moved")
+UNSEEN = say("the patient was not measured for more than {longest_unseen_s:g} s", longest_unseen_s=LONGEST_UNSEEN_S)
+NOT_SIGNED = say("the patient's position was not compared with the plan's and signed")
+SET_AGAIN = say("set the reference again, compare the position with the plan's, and sign it")
+NOT_ALLOWED = say("beyond the tolerance only a person who may arm can sign, with a reason")
+NO_REASON = say("a person who may arm has to give a reason, such as by which other means it was checked")
+
 
 class Signature(NamedTuple):
     """Who signed which reference's position, and why where it was beyond the tolerance."""
@@ -60,16 +69,6 @@ class PositionState:
     def shortcomings(self) -> tuple[str, ...]:
         """What keeps the position from being within the tolerance; empty where nothing does, or it is not compared."""
         return () if self.check is None else self.tolerance.shortcomings(self.check)
-
-
-LONGEST_UNSEEN_S = 60.0
-"""A patient who was not measured for longer may have been moved."""
-CAMERA_MOVED = say("the camera moved")
-UNSEEN = say("the patient was not measured for more than {longest_unseen_s:g} s", longest_unseen_s=LONGEST_UNSEEN_S)
-NOT_SIGNED = say("the patient's position was not compared with the plan's and signed")
-SET_AGAIN = say("set the reference again, compare the position with the plan's, and sign it")
-NOT_ALLOWED = say("beyond the tolerance only a person who may arm can sign, with a reason")
-NO_REASON = say("a person who may arm has to give a reason, such as by which other means it was checked")
 
 
 class PositionSignOff:

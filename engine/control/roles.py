@@ -24,6 +24,9 @@ class Measurer(Protocol):
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         """Count the drift of a signal from a level that is ``by`` higher than the learned one [mm or l]."""
 
+    def camera_warmed(self) -> None:
+        """Drop the reference, which was set while the camera's readings drifted. A person has to set it again."""
+
     def camera_returned(self) -> None:
         """Drop what was known of the patient's position: the camera was away. A person has to set the reference."""
 

@@ -12,7 +12,7 @@ from engine.core.signals import Ranges, signal_of
 from engine.gating.active_window import ActiveWindow, SetWindow, WindowChange, checked_change, refuse_wide
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.limits import GateLimits
-from engine.gating.windows import GateWindow
+from engine.gating.windows import GateWindow, breath_depths
 
 
 class SessionLimits:
@@ -35,6 +35,10 @@ class SessionLimits:
     def resolve_window(self, ranges: Ranges) -> None:
         """Resolve a window in per cent into mm and l, from the learned ranges against the present reference."""
         self.use(self._window.with_ranges(ranges))
+
+    def use_breaths(self, ranges: Ranges) -> None:
+        """Tell a breath by the learned ranges of the model in use."""
+        self.current = replace(self.current, breath_depths=breath_depths(ranges))
 
     def corrected(self, by: float) -> ActiveWindow:
         """Return the window moved by ``by`` [mm, l of the volume]; raise InvalidValueError beyond the site's limits."""

@@ -29,6 +29,8 @@ from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import ns_from_ms
 from engine.gating.supervision.operator_presence import OperatorPresence
 
+SHORTEST_READ_NS = NS_PER_MS
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnInputs:
@@ -100,9 +102,6 @@ class LineAnswer:
     error: Exception | None = None
     watchdog_fired: bool = False
     at_ns: int
-
-
-SHORTEST_READ_NS = NS_PER_MS
 
 
 class TurnReader:

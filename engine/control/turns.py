@@ -108,12 +108,15 @@ class TurnRunner:
             notices=notices,
         )
         self._sign_off.follow(gated, supervision)
+        if self._supervisor.take_warmed():
+            self._measurer.camera_warmed()
         unsigned = self._sign_off.interruption()
         self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
 
     def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:
         events: list[GateEvent] = []
         if self._follower.has_changed():
+            self._controller.rescale()
             events.append(Ending(reason=HoldReason.DISARMED))
         self._follower.resolve_window()
         if not _is_of(measurement, frame):

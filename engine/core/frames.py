@@ -100,6 +100,7 @@ class LostReason(enum.StrEnum):
     CAMERA_MOVED = "camera_moved"
     VALUE_INVALID = "value_invalid"
     FRAME_FROZEN = "frame_frozen"
+    FRAME_TORN = "frame_torn"
 
 
 class Mover(enum.StrEnum):

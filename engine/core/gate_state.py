@@ -7,6 +7,15 @@ import enum
 from dataclasses import dataclass
 from typing import Self
 
+OWN = "own"
+GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
+TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
+PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
+SETUP = "AAPM TG-302: position by the surface before treatment; AAPM TG-147"
+SETUP_CAMERA = "AAPM TG-147, TG-302: let a camera warm up"
+TERMINATION = "IEC 60601-2-1: termination of irradiation; AAPM TG-142: gating interlock, functional"
+LOCALIZATION = "AAPM TG-147: calibration of the localization system"
+
 
 class GateState(enum.StrEnum):
     """Where the gate stands; only ``BEAM_ON`` ever comes with a lease."""
@@ -72,15 +81,6 @@ class HoldRow:
     guide: Guidance
 
 
-OWN = "own"
-GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
-TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
-PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
-SETUP = "AAPM TG-302: position by the surface before treatment; AAPM TG-147"
-SETUP_CAMERA = "AAPM TG-147, TG-302: let a camera warm up"
-TERMINATION = "IEC 60601-2-1: termination of irradiation; AAPM TG-142: gating interlock, functional"
-LOCALIZATION = "AAPM TG-147: calibration of the localization system"
-
 _A, _G = AlarmGroup, Guidance
 _Row = tuple[str, HoldRow]
 
@@ -132,13 +132,13 @@ class HoldReason(enum.StrEnum):
     # Interlocks: a hold clears by itself after a full dwell, a fault latches until a named person acknowledges it.
     FRAME_STALE = _fault(
         "frame_stale",
-        "a frame much too old at its decision, or pictures repeated for more than 100 ms in a session",
+        "a frame much too old at its decision, or pictures repeated for more than 100 ms in a session, 50 ms in part",
         "max_silence_ms",
         alarm=_A.STOPPED,
     )
     FRAME_LATE = _hold(
         "frame_late",
-        "a frame too old at its decision, delayed against the fastest one, or not known to be fresh for 5 s",
+        "a frame too old at its decision, delayed against the fastest one, or not known to be fresh for 0.5 s",
         "max_frame_age_ms",
         "max_lag_ms",
         alarm=_A.SIGHT,
@@ -220,7 +220,7 @@ class HoldReason(enum.StrEnum):
     CAMERA_MOVED = _hold("camera_moved", "couch and floor are elsewhere than at the reference", alarm=_A.PATIENT)
     CHECK_MISSING = _hold(
         "check_missing",
-        "surface, colour or scene could not be compared with the reference for 0.5 s (or ever, if the site says so)",
+        "surface, colour, scene or markers not compared with the reference for 0.5 s (or ever, if the site says so)",
         "checks_may_be_missing",
         alarm=_A.SIGHT,
     )

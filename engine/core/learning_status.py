@@ -14,6 +14,9 @@ from engine.core.motion_model import MotionModel
 from engine.core.position_check import PositionCheck
 from engine.core.reference import FirstReference, ReferenceDistance, ReferenceProposal
 
+Figures = Mapping[str, float | int | str | None]
+"""Values by name, unit included."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatientMatch:
@@ -77,8 +80,6 @@ class LearningStatus:
         Where the reference in use lies against the plan's position; None without one, and in the plan's first fraction.
     is_position_required
         Whether another fraction of the plan has a position, so that a person has to sign this one.
-    is_fraction_continued
-        Whether another session has set the fraction's first reference.
     """
 
     model: MotionModel | None = None
@@ -92,11 +93,6 @@ class LearningStatus:
     patient_match: PatientMatch | None = None
     position_check: PositionCheck | None = None
     is_position_required: bool = False
-    is_fraction_continued: bool = False
-
-
-Figures = Mapping[str, float | int | str | None]
-"""Values by name, unit included."""
 
 
 class LearningEventKind(enum.StrEnum):

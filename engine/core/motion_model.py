@@ -19,6 +19,22 @@ from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, fro
 
 MAX_TEXT = 200
 MAX_SETTINGS = 64
+QUALITY_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "amplitude_mm": (0.0, 500.0),
+    "noise_mm": (0.0, 500.0),
+    "explained_share": (0.0, 1.0),
+    "shift_mm": (0.0, 10_000.0),
+    "tilt_deg": (0.0, 180.0),
+    "outlier_share": (0.0, 1.0),
+    "residual_mm": (0.0, 10_000.0),
+}
+"""Bounds of each figure, for reading it from a file."""
+# Of models of the first schema, which did not measure it.
+USUAL_NOISE_MM = 5.0
+DEPTH_STEPS = 3
+"""Numbers that describe the steps of a sensor's readings."""
+SAMPLE_SHAPE = (-(-ROI_ROWS // 4), -(-ROI_COLUMNS // 4))
+"""Rows and columns of the maps that show a model's quality."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,18 +64,6 @@ class TrainingQuality:
     tilt_deg: float
     outlier_share: float
     residual_mm: float
-
-
-QUALITY_BOUNDS: Mapping[str, tuple[float, float]] = {
-    "amplitude_mm": (0.0, 500.0),
-    "noise_mm": (0.0, 500.0),
-    "explained_share": (0.0, 1.0),
-    "shift_mm": (0.0, 10_000.0),
-    "tilt_deg": (0.0, 180.0),
-    "outlier_share": (0.0, 1.0),
-    "residual_mm": (0.0, 10_000.0),
-}
-"""Bounds of each figure, for reading it from a file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,14 +113,6 @@ def check_text(name: str, value: object) -> str:
     if not isinstance(value, str) or len(value) > MAX_TEXT or not (value.isprintable() or not value):
         raise InvalidValueError(name, value, f"at most {MAX_TEXT} printable characters")
     return value
-
-
-# Of models of the first schema, which did not measure it.
-USUAL_NOISE_MM = 5.0
-DEPTH_STEPS = 3
-"""Numbers that describe the steps of a sensor's readings."""
-SAMPLE_SHAPE = (-(-ROI_ROWS // 4), -(-ROI_COLUMNS // 4))
-"""Rows and columns of the maps that show a model's quality."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,20 +20,19 @@ import signal
 import cv2
 from threadpoolctl import threadpool_limits
 
+KEPT_BYTES = 1 << 26
+"""Freed memory at the heap's end is given back only beyond this."""
+OWN_PAGES_BYTES = 1 << 21
+"""Smaller arrays than this, a frame's pictures among them, come from the heap; larger ones have pages of their own."""
+# <malloc.h>
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_PR_SET_PDEATHSIG = 1
+
 
 def keep_calls_in_their_thread() -> None:
     """Let BLAS, OpenMP and OpenCV use only the calling thread, in the whole process, from now on."""
     threadpool_limits(limits=1)
     cv2.setNumThreads(1)
-
-
-KEPT_BYTES = 1 << 26
-"""Freed memory at the heap's end is given back only beyond this."""
-OWN_PAGES_BYTES = 1 << 21
-"""Smaller arrays than this, a frame's pictures among them, come from the heap; larger ones have pages of their own."""
-
-# <malloc.h>
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 def keep_freed_memory() -> None:
@@ -54,7 +53,6 @@ def give_freed_memory_back() -> None:
         trim(0)
 
 
-_PR_SET_PDEATHSIG = 1
 # <sys/prctl.h>
 
 

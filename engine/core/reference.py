@@ -19,6 +19,17 @@ from engine.core.position_check import PositionCheck
 from engine.core.sentences import listed, say
 from engine.core.strict_json import ROOT, StrictJson
 
+SCHEMA = "tidegate.first-reference/2"
+SCHEMA_WITHOUT_MOMENT = "tidegate.first-reference/1"
+"""Documents of before the position check: at which moment of the breath they were set is not known."""
+DIGITS = 4
+MAX_DEPTH_MM = 20_000.0
+MAX_VOLUME_L = 1_000.0
+MAX_REGIONS = 10_000
+NODES = NODE_ROWS * NODE_COLUMNS
+_KEYS = ("schema", "calibration_sha256", "layout_sha256", "regions_mm", "surface_mm", "plane_mm", "volume_l")
+_JSON = StrictJson(max_bytes=512 * 1024)
+
 
 class ReferenceMoment(enum.StrEnum):
     """The moment of the breath that a reference is set at; the value is the stable code."""
@@ -151,18 +162,6 @@ class ReferenceProposal:
     percent: float | None
     distance: ReferenceDistance | None = None
     position_check: PositionCheck | None = None
-
-
-SCHEMA = "tidegate.first-reference/2"
-SCHEMA_WITHOUT_MOMENT = "tidegate.first-reference/1"
-"""Documents of before the position check: at which moment of the breath they were set is not known."""
-DIGITS = 4
-MAX_DEPTH_MM = 20_000.0
-MAX_VOLUME_L = 1_000.0
-MAX_REGIONS = 10_000
-NODES = NODE_ROWS * NODE_COLUMNS
-_KEYS = ("schema", "calibration_sha256", "layout_sha256", "regions_mm", "surface_mm", "plane_mm", "volume_l")
-_JSON = StrictJson(max_bytes=512 * 1024)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

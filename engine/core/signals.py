@@ -30,6 +30,13 @@ _WIDE_SEEN: "dict[str, attrgetter[float]]" = {
     GateSignal.THORAX: attrgetter("thorax"),
     GateSignal.ABDOMEN: attrgetter("abdomen"),
 }
+SYMMETRIC_SIGNALS = frozenset({GateSignal.WHOLE, GateSignal.VOLUME})
+"""Signals that are the same from whichever side the head lies."""
+PERCENTILES = (5.0, 95.0)
+"""Of the levels in the training: the end of exhale, and the end of inhale."""
+LearnedLevels = Mapping[SignalChoice, FloatArray]
+"""Levels against the present reference [mm, l of the volume] in training frames evenly spread over the training, shape
+(n,), of the same frames for each signal. Signals whose levels are not known are absent."""
 
 
 def signal_of(choice: SignalChoice, motion: Motion) -> float:
@@ -115,17 +122,11 @@ _OPPOSITE = {
     HeadDirection.LEFT: HeadDirection.RIGHT,
     HeadDirection.RIGHT: HeadDirection.LEFT,
 }
-SYMMETRIC_SIGNALS = frozenset({GateSignal.WHOLE, GateSignal.VOLUME})
-"""Signals that are the same from whichever side the head lies."""
 
 
 def depends_on_head(choice: SignalChoice) -> bool:
     """Whether a signal belongs to another part of the body where the head lies at another side."""
     return choice.signal not in SYMMETRIC_SIGNALS
-
-
-PERCENTILES = (5.0, 95.0)
-"""Of the levels in the training: the end of exhale, and the end of inhale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,10 +143,6 @@ class LearnedRange:
 
 Ranges = Mapping[SignalChoice, LearnedRange]
 """Signals whose range is not known are absent."""
-
-LearnedLevels = Mapping[SignalChoice, FloatArray]
-"""Levels against the present reference [mm, l of the volume] in training frames evenly spread over the training, shape
-(n,), of the same frames for each signal. Signals whose levels are not known are absent."""
 
 
 def ranges_of(levels: LearnedLevels) -> Ranges:

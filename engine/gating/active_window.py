@@ -37,6 +37,12 @@ from engine.gating.windows import (
     Unit,
 )
 
+PHASES = np.linspace(0.0, 100.0, 1_000, endpoint=False)
+INSPIRATION_FROM, EXPIRATION_TO = 60.0, 40.0
+"""Lowest lower edge of an inspiration hold, and highest upper edge of an expiration hold [% of the learned breath]."""
+LAST_PERCENT = 100.0
+UNKNOWN = say("How much of a breath lies in the window is not known for this model. Train again.")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActiveWindow:
@@ -135,13 +141,6 @@ def _leaf_text(leaf: Condition) -> str:
         upper=edges.upper,
         unit=edges.unit,
     )
-
-
-PHASES = np.linspace(0.0, 100.0, 1_000, endpoint=False)
-INSPIRATION_FROM, EXPIRATION_TO = 60.0, 40.0
-"""Lowest lower edge of an inspiration hold, and highest upper edge of an expiration hold [% of the learned breath]."""
-LAST_PERCENT = 100.0
-UNKNOWN = say("How much of a breath lies in the window is not known for this model. Train again.")
 
 
 def is_predicted(window: GateWindow) -> bool:

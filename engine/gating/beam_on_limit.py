@@ -1,8 +1,8 @@
 """The longest beam-on in an amplitude or phase window: a patient who breathes leaves the window in every breath.
 
-Beam-on time counts from when the signal was last measured beyond an edge itself. Interruptions, arming and a signal
-between an edge and the hysteresis do not reset it: a patient who holds the breath, and pictures that no longer show the
-patient, stay inside. Breath holds have their own limit.
+Beam-on time counts from the patient's last breath (`engine.gating.windows.patient_breath`). Interruptions, arming,
+another window and single frames beyond an edge do not reset it: a patient who holds the breath, and pictures that no
+longer show the patient, stay inside. Breath holds have their own limit.
 """
 
 from collections.abc import Iterable
@@ -29,6 +29,13 @@ class Stay(NamedTuple):
             return self
         allowed_ns = int(allowed_s * NS_PER_S)
         return self._replace(allowed_ns=allowed_ns if self.allowed_ns is None else min(allowed_ns, self.allowed_ns))
+
+    def begun_at(self, from_ns: int) -> "Stay":
+        """Return the stay of the next breath, which begins at ``from_ns`` of this one's beam-on time.
+
+        That is negative while the beam is on: the beam-on time of the present run is added to it.
+        """
+        return Stay(on_ns=self.on_ns - from_ns)
 
 
 OUTSIDE = Stay()

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from engine.core.clock import CLOCK_DRIFT, NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import Measurement
 from engine.core.replacing import replace
+from engine.gating.limits import MAX_UNCHECKED_US
 
 MAX_RATE_ERROR_PPM = 200.0
 """Greatest rate at which the two clocks may differ: twice what quartz does."""
@@ -24,6 +25,12 @@ MAX_RATE_ERROR_PPM = 200.0
 SPAN_NS = 10 * NS_PER_S
 SPANS = 6
 """Spans of one estimate: a minute."""
+GREATEST_CLOCK_ERROR = 0.01
+"""Greatest relative error of a camera's clock that is believed possible."""
+FRESH_NS = 50 * NS_PER_MS
+"""A frame is fresh if no frame waited in the driver this long before its receipt; more than a period of 30 frames/s."""
+LONGEST_GAP_NS = NS_PER_S
+"""Time without frames after which the rate of the clocks is estimated anew: a returned camera continues by guess."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,19 +75,6 @@ def followed_rate(before: ClockRate | None, received_ns: int, lag_ns: int) -> Cl
     return ClockRate(begun_ns=before.begun_ns + SPAN_NS, least_lag_ns=lag_ns, least_lags_ns=least)
 
 
-GREATEST_CLOCK_ERROR = 0.01
-"""Greatest relative error of a camera's clock that is believed possible."""
-
-MAX_UNSEEN_MS = 50.0
-"""Greatest ageing that clocks may hide: 5 s without a frame that is known to be fresh."""
-
-FRESH_NS = 50 * NS_PER_MS
-"""A frame is fresh if no frame waited in the driver this long before its receipt; more than a period of 30 frames/s."""
-
-LONGEST_GAP_NS = NS_PER_S
-"""Time without frames after which the rate of the clocks is estimated anew: a returned camera continues by guess."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delivery:
     """What the frames so far show about their delivery.
@@ -122,6 +116,12 @@ def followed_delivery(before: Delivery | None, frame: Measurement, elapsed_ns: i
         fresh_ns=before.fresh_ns if fresh_ns is None else fresh_ns,
         rate=followed_rate(rate, frame.received_ns, lag_ns),
     )
+
+
+def is_age_known(delivery: Delivery, received_ns: int) -> bool:
+    """Return whether a frame that is known to have been fresh was received within the time that every check has."""
+    since_ns = None if delivery.fresh_ns is None else received_ns - delivery.fresh_ns
+    return since_ns is not None and since_ns <= MAX_UNCHECKED_US * NS_PER_US
 
 
 def unseen_ageing_ms(delivery: Delivery, frame: Measurement) -> float | None:

@@ -17,9 +17,9 @@ from engine.core.sentences import listed, say
 from engine.core.signals import is_wide, seen_share_of, signal_of
 from engine.gating.delivery import (
     MAX_RATE_ERROR_PPM,
-    MAX_UNSEEN_MS,
     Delivery,
     followed_delivery,
+    is_age_known,
     lag_of,
     unseen_ageing_ms,
 )
@@ -29,6 +29,19 @@ from engine.gating.windows import ConditionState, GateWindow
 HEAD_DIRECTION_UNKNOWN = say("only the whole region and its volume may gate without the head direction")
 MAX_JUMP_FRAMES = 5
 """Most frames that an allowed step counts for: a longer gap does not allow a larger step."""
+SURE_RATE = 0.5
+"""Least confidence of a breathing rate by which the beam is held."""
+_REASON_OF_LOST = {
+    LostReason.MARKER_LOST: HoldReason.MARKER_LOST,
+    LostReason.LAYOUT_CHANGED: HoldReason.LAYOUT_CHANGED,
+    LostReason.COVERAGE_LOW: HoldReason.COVERAGE_LOW,
+    LostReason.RESIDUAL_HIGH: HoldReason.RESIDUAL_HIGH,
+    LostReason.SURFACE_CHANGED: HoldReason.SURFACE_CHANGED,
+    LostReason.CAMERA_MOVED: HoldReason.CAMERA_MOVED,
+    LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
+    LostReason.FRAME_FROZEN: HoldReason.FRAME_FROZEN,
+    LostReason.FRAME_TORN: HoldReason.FRAME_FROZEN,
+}
 
 
 class EventKind(enum.StrEnum):
@@ -48,18 +61,14 @@ class EventKind(enum.StrEnum):
 class Verdict(NamedTuple):
     """Kind and reason of an event, the text for the operator, and the window's states where it judged the frame.
 
-    ``has_left``: the window judged the frame, and the signal lay beyond an edge itself.
+    ``stay_from_ns``: where the patient has breathed, the beam-on time of the old stay at which the new one starts.
     """
 
     kind: EventKind
     reason: HoldReason | None = None
     detail: str = ""
     conditions: tuple[ConditionState, ...] | None = None
-    has_left: bool = False
-
-
-SURE_RATE = 0.5
-"""Least confidence of a breathing rate by which the beam is held."""
+    stay_from_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,9 +247,10 @@ def _refuse_unseen_age(delivery: Delivery, frame: Measurement, limits: GateLimit
             HoldReason.FRAME_LATE, say("no frame is known to be fresh: frames may wait in the camera's driver")
         )
     lag_ms = (lag_of(frame) - delivery.least_lag_ns) / NS_PER_MS
-    if unseen_ms <= MAX_UNSEEN_MS and lag_ms + unseen_ms <= limits.max_lag_ms:
+    since_ns = frame.received_ns - delivery.fresh_ns
+    if is_age_known(delivery, frame.received_ns) and lag_ms + unseen_ms <= limits.max_lag_ms:
         return None
-    since_s = (frame.received_ns - delivery.fresh_ns) / NS_PER_S
+    since_s = since_ns / NS_PER_S
     detail = say(
         "{since_s:.1f} s since a frame that is known to be fresh: up to {lag_ms:.0f} ms late",
         since_s=since_s,
@@ -268,18 +278,6 @@ def _refuse_gap(last: LastFrame | None, frame: Measurement, limits: GateLimits) 
     if gap_ms > limits.max_gap_ms:
         return unusable(HoldReason.FRAME_MISSING, say("{gap_ms:.0f} ms after the last frame", gap_ms=gap_ms))
     return None
-
-
-_REASON_OF_LOST = {
-    LostReason.MARKER_LOST: HoldReason.MARKER_LOST,
-    LostReason.LAYOUT_CHANGED: HoldReason.LAYOUT_CHANGED,
-    LostReason.COVERAGE_LOW: HoldReason.COVERAGE_LOW,
-    LostReason.RESIDUAL_HIGH: HoldReason.RESIDUAL_HIGH,
-    LostReason.SURFACE_CHANGED: HoldReason.SURFACE_CHANGED,
-    LostReason.CAMERA_MOVED: HoldReason.CAMERA_MOVED,
-    LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
-    LostReason.FRAME_FROZEN: HoldReason.FRAME_FROZEN,
-}
 
 
 def _judge_unmeasured(frame: Measurement) -> Verdict:

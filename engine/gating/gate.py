@@ -29,7 +29,20 @@ from engine.gating.frame_checks import (
     unusable,
 )
 from engine.gating.limits import GateLimits, ns_from_ms
-from engine.gating.windows import ConditionState, WindowInput, armed_again, initial_states, interrupted, is_held, left
+from engine.gating.windows import (
+    ConditionState,
+    WindowInput,
+    WindowVerdict,
+    armed_again,
+    begun,
+    breathed_from_ns,
+    followed,
+    initial_states,
+    interrupted,
+    is_held,
+    left,
+    permitted,
+)
 
 CYCLES_WITHIN_NS = 60 * NS_PER_S
 
@@ -54,6 +67,12 @@ TRANSITIONS: dict[tuple[GateState, EventKind], GateState] = {
     (_S.FAULT, _K.ACKNOWLEDGE): _S.DISARMED,
 }
 """All transitions; for every other pair see :func:`next_state`."""
+_KIND_OF_COMMAND: dict[type, EventKind] = {
+    Arm: EventKind.ARM,
+    Disarm: EventKind.DISARM,
+    Acknowledge: EventKind.ACKNOWLEDGE,
+    ReleaseBeam: EventKind.UNUSABLE,  # the beam needs a full dwell
+}
 
 
 def next_state(state: GateState, kind: EventKind) -> GateState:
@@ -110,7 +129,7 @@ class Gate:
     was_cut_short
         Whether the last beam on was shorter than ``min_on_ms``.
     stay
-        Beam-on time since the signal was last measured beyond an edge of the window.
+        Beam-on time since the patient last breathed, whatever window was in force.
     armed_by
         Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     is_armed_by_program
@@ -158,8 +177,23 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
     moved = _name_operator(gate, moved, event)
     if not isinstance(event, Measurement):
         return moved
-    stay = OUTSIDE if verdict.has_left else moved.stay.bounded(allowed_on_s(limits.window, event.breaths, limits))
-    return _remember(gate, replace(moved, stay=stay), event, limits)
+    return _remember(gate, _follow_stay(moved, verdict, event, now_ns, limits), event, limits)
+
+
+def _follow_stay(moved: Gate, verdict: Verdict, frame: Measurement, now_ns: int, limits: GateLimits) -> Gate:
+    """Start a new stay where the patient has breathed, and note where the signal is with the beam on."""
+    stay = moved.stay if verdict.stay_from_ns is None else moved.stay.begun_at(verdict.stay_from_ns)
+    moved = replace(moved, stay=stay.bounded(allowed_on_s(limits.window, frame.breaths, limits)))
+    if verdict.conditions is None or frame.motion is None:
+        return moved
+    on_ns = moved.stay.on_ns + _on_ns(moved, now_ns, limits)
+    is_on = moved.state is GateState.BEAM_ON
+    seen = _seen_by_window(frame, frame.motion, limits)
+    return replace(moved, conditions=permitted(limits.window, seen, moved.conditions, on_ns=on_ns, is_on=is_on))
+
+
+def _seen_by_window(frame: Measurement, motion: Motion, limits: GateLimits) -> WindowInput:
+    return WindowInput(motion, frame.breaths, frame.timestamp_us, limits.breath_depths)
 
 
 def _name_operator(before: Gate, moved: Gate, event: GateEvent) -> Gate:
@@ -249,14 +283,6 @@ def _remember(before: Gate, moved: Gate, frame: Measurement, limits: GateLimits)
     return replace(moved, last=last, good_frames=frames, inside_since_ns=since_ns, inside_since_us=since_us)
 
 
-_KIND_OF_COMMAND: dict[type, EventKind] = {
-    Arm: EventKind.ARM,
-    Disarm: EventKind.DISARM,
-    Acknowledge: EventKind.ACKNOWLEDGE,
-    ReleaseBeam: EventKind.UNUSABLE,  # the beam needs a full dwell
-}
-
-
 def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdict:
     match event:
         case Measurement():
@@ -311,28 +337,42 @@ def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | Non
 def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:
     window = limits.window
     states = gate.conditions if len(gate.conditions) == len(window.leaves) else initial_states(window)
-    found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
+    seen = _seen_by_window(frame, motion, limits)
+    states = followed(window, seen, states, limits.max_gap_ms)
+    on_ns = gate.stay.on_ns + _on_ns(gate, now_ns, limits)
+    stay_from_ns = breathed_from_ns(window, states, on_ns)
+    found = window.judge(seen, states)
+    if stay_from_ns is not None:
+        on_ns -= stay_from_ns
+        found = found._replace(states=begun(found.states))
+    verdict = _judge_inside(gate, frame, found, on_ns, now_ns, limits)
+    return verdict._replace(stay_from_ns=stay_from_ns)
+
+
+def _judge_inside(
+    gate: Gate, frame: Measurement, found: WindowVerdict, on_ns: int, now_ns: int, limits: GateLimits
+) -> Verdict:
+    """Return the verdict of a frame inside the window or outside of it; ``on_ns`` is the beam-on time of the stay."""
     if not found.is_inside:
-        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states, found.has_left)
-    is_breath_held = is_held(window, found.states)
+        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
+    is_breath_held = is_held(limits.window, found.states)
     irregular = None if is_breath_held else refuse_irregular(frame, limits.holding_events) or refuse_rate(frame, limits)
-    refused = irregular or _on_too_long(gate, now_ns, limits)
+    refused = irregular or _on_too_long(gate.stay, on_ns)
     if refused is not None:
-        return refused
+        return refused._replace(conditions=interrupted(found.states))
     if not _has_dwelt(gate, frame, limits):
         return Verdict(EventKind.INSIDE, conditions=found.states)
     return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
 
 
-def _on_too_long(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
-    """Hold where the beam has been on for as long as is allowed without the signal's leaving the window."""
-    on_ns, allowed_ns = gate.stay
-    on_ns += _on_ns(gate, now_ns, limits)
+def _on_too_long(stay: Stay, on_ns: int) -> Verdict | None:
+    """Hold where the beam has been on for as long as is allowed in one breath."""
+    allowed_ns = stay.allowed_ns
     if allowed_ns is None or on_ns < allowed_ns:
         return None
     detail = say(
-        "{on_s:.0f} s of beam since the signal was outside of the window, {allowed_s:.0f} allowed: "
-        "it has to leave the window first",
+        "{on_s:.0f} s of beam since the patient breathed out of the window, {allowed_s:.0f} allowed: "
+        "the signal has to leave the window first",
         on_s=on_ns / NS_PER_S,
         allowed_s=allowed_ns / NS_PER_S,
     )

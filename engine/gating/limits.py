@@ -14,9 +14,12 @@ from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
 from engine.core.signals import HeadDirection, depends_on_head
-from engine.gating.windows import BreathHoldWindow, GateWindow
+from engine.gating.windows import BreathDepth, BreathHoldWindow, GateWindow
 from engine.gating.windows.amplitude import Unit
 
+MAX_UNCHECKED_US = 500_000
+"""A check that cannot work for longer holds the beam: surface, colour, scene, markers, and the age of the pictures.
+A hand of the staff passes by in less."""
 BREATHING_CEASED = frozenset({BreathEventKind.APNOEA, BreathEventKind.NO_CYCLE})
 """Breathing events without breaths: an amplitude has no meaning then (ADR 0030)."""
 EVENTS_OF_A_BREATH_HOLD = BREATHING_CEASED | {
@@ -25,6 +28,57 @@ EVENTS_OF_A_BREATH_HOLD = BREATHING_CEASED | {
     BreathEventKind.TALKING,
 }
 """Breathing events that a deliberate breath hold, or the breath before and after it, may resemble."""
+# Lowest and highest value each limit may take; a site can only choose within.
+LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
+    "dwell_ms": (0.0, 10_000.0),
+    "min_good_frames": (2, 300),
+    "lease_ms": (20.0, 200.0),
+    "max_frame_age_ms": (5.0, 200.0),
+    "max_gap_ms": (10.0, 200.0),
+    "max_lag_ms": (20.0, 500.0),
+    "max_silence_ms": (50.0, 2_000.0),
+    "watchdog_ms": (40.0, 500.0),
+    "min_valid_share": (0.1, 1.0),
+    "min_inlier_share": (0.1, 1.0),
+    "min_signal_share": (0.5, 1.0),
+    "min_wide_share": (0.7, 1.0),
+    "max_residual_mm": (0.1, 20.0),
+    "max_jump_mm": (0.1, 20.0),
+    "min_on_ms": (0.0, 10_000.0),
+    "min_off_ms": (0.0, 60_000.0),
+    "max_cycles_per_min": (1, 120),
+    "max_beam_on_s": (2.0, 30.0),
+    "max_duty_percent": (10.0, 100.0),
+    "max_clock_jump_ms": (50.0, 2_000.0),
+    "min_fps": (5.0, 60.0),
+    "max_shift_mm": (1.0, 100.0),
+    "max_turn_deg": (0.5, 45.0),
+    "max_marker_travel_mm": (0.5, 20.0),
+    "max_height_mm": (0.5, 50.0),
+    "max_baseline_drift_mm": (0.5, 10.0),
+    "warn_latency_ms": (20.0, 500.0),
+    "max_latency_ms": (100.0, 1_000.0),
+    "camera_latency_ms": (0.0, 300.0),
+    "max_model_age_min": (1.0, 1_440.0),
+    "max_unwritten_ms": (600.0, 1_000.0),
+    "max_service_silence_ms": (100.0, 2_000.0),
+    "operator_timeout_s": (0.0, 600.0),
+    "max_baseline_correction_mm": (0.0, 50.0),
+    "max_reference_distance_mm": (0.5, 50.0),
+    "max_position_shift_mm": (0.5, 20.0),
+    "max_position_turn_deg": (0.2, 10.0),
+    "max_position_shape_mm": (0.5, 20.0),
+    "min_breaths_per_min": (0.5, 30.0),
+    "max_breaths_per_min": (10.0, 60.0),
+    "window_lower_mm": (-100.0, 100.0),
+    "window_upper_mm": (-100.0, 100.0),
+}
+WARM_UP_BOUNDS_S = (0.0, 14_400.0)
+WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min")
+HYSTERESIS: Mapping[Unit, float] = {Unit.MM: 0.2, Unit.L: 0.01, Unit.PERCENT: 2.0}
+"""Distance inside the edges that a signal must reach to enter, by unit."""
+DWELL_MS = 200.0
+"""Time that the signal must stay inside before beam on [ms]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,6 +193,9 @@ class GateLimits:
     needs_all_checks
         Whether the beam is held where a check of the measurement has not worked since the reference was set; one that
         worked and cannot any more always holds.
+    breath_depths
+        Depth of the learned breath in each signal of the window, which distinguishes a breath from a drift.
+        The loop sets this from the model in use.
     is_played
         Whether the frames come from a recording. A player may fall behind, so its lag does not indicate the age of a
         frame. The loop sets this from the description of the source.
@@ -194,6 +251,7 @@ class GateLimits:
     holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
     needs_all_checks: bool = False
     needs_countersignature: bool = False
+    breath_depths: tuple[BreathDepth, ...] = ()
     is_played: bool = False
 
     def __post_init__(self) -> None:
@@ -223,62 +281,6 @@ class GateLimits:
         return any(depends_on_head(choice) for choice in self.window.choices)
 
 
-# Lowest and highest value each limit may take; a site can only choose within.
-LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
-    "dwell_ms": (0.0, 10_000.0),
-    "min_good_frames": (2, 300),
-    "lease_ms": (20.0, 200.0),
-    "max_frame_age_ms": (5.0, 200.0),
-    "max_gap_ms": (10.0, 200.0),
-    "max_lag_ms": (20.0, 500.0),
-    "max_silence_ms": (50.0, 2_000.0),
-    "watchdog_ms": (40.0, 500.0),
-    "min_valid_share": (0.1, 1.0),
-    "min_inlier_share": (0.1, 1.0),
-    "min_signal_share": (0.5, 1.0),
-    "min_wide_share": (0.7, 1.0),
-    "max_residual_mm": (0.1, 20.0),
-    "max_jump_mm": (0.1, 20.0),
-    "min_on_ms": (0.0, 10_000.0),
-    "min_off_ms": (0.0, 60_000.0),
-    "max_cycles_per_min": (1, 120),
-    "max_beam_on_s": (2.0, 30.0),
-    "max_duty_percent": (10.0, 100.0),
-    "max_clock_jump_ms": (50.0, 2_000.0),
-    "min_fps": (5.0, 60.0),
-    "max_shift_mm": (1.0, 100.0),
-    "max_turn_deg": (0.5, 45.0),
-    "max_marker_travel_mm": (0.5, 20.0),
-    "max_height_mm": (0.5, 50.0),
-    "max_baseline_drift_mm": (0.5, 10.0),
-    "warn_latency_ms": (20.0, 500.0),
-    "max_latency_ms": (100.0, 1_000.0),
-    "camera_latency_ms": (0.0, 300.0),
-    "max_model_age_min": (1.0, 1_440.0),
-    "max_unwritten_ms": (600.0, 1_000.0),
-    "max_service_silence_ms": (100.0, 2_000.0),
-    "operator_timeout_s": (0.0, 600.0),
-    "max_baseline_correction_mm": (0.0, 50.0),
-    "max_reference_distance_mm": (0.5, 50.0),
-    "max_position_shift_mm": (0.5, 20.0),
-    "max_position_turn_deg": (0.2, 10.0),
-    "max_position_shape_mm": (0.5, 20.0),
-    "min_breaths_per_min": (0.5, 30.0),
-    "max_breaths_per_min": (10.0, 60.0),
-    "window_lower_mm": (-100.0, 100.0),
-    "window_upper_mm": (-100.0, 100.0),
-}
-WARM_UP_BOUNDS_S = (0.0, 14_400.0)
-WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min")
-
-
 def ns_from_ms(duration_ms: float) -> int:
     """Convert to whole nanoseconds, rounded down."""
     return int(duration_ms * NS_PER_MS)
-
-
-HYSTERESIS: Mapping[Unit, float] = {Unit.MM: 0.2, Unit.L: 0.01, Unit.PERCENT: 2.0}
-"""Distance inside the edges that a signal must reach to enter, by unit."""
-
-DWELL_MS = 200.0
-"""Time that the signal must stay inside before beam on [ms]."""

@@ -29,6 +29,9 @@ RESERVED_NAMES = frozenset({"whole", "thorax", "abdomen", "region", "signal", "r
 _POINT_NAME = re.compile(r"p\d+_\d+")
 _LOWEST = -0.5
 _HIGHEST = (ROI_ROWS - 0.5, ROI_COLUMNS - 0.5)
+SCHEMA = "tidegate.regions/1"
+_READER = StrictJson(max_bytes=256 * 1024)
+_LIMIT = 1e6  # a coarse bound on rows and columns; NamedRegion checks the exact ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,11 +151,6 @@ def _segments_meet(vertices: FloatArray, along: FloatArray, first: FloatArray, s
 
 def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-
-
-SCHEMA = "tidegate.regions/1"
-_READER = StrictJson(max_bytes=256 * 1024)
-_LIMIT = 1e6  # a coarse bound on rows and columns; NamedRegion checks the exact ones
 
 
 def load_regions(path: Path) -> tuple[NamedRegion, ...]:

@@ -88,6 +88,7 @@ class Pipeline:
                 calibration_sha256=calibration.sha256,
                 settings=settings.training,
                 match_limits=settings.likeness,
+                most_noise_mm=settings.most_noise_mm,
                 stages=replace(self._stages.as_stages(), present=self._present_stages),
             ),
             BackgroundTrainer() if trainer is None else trainer,
@@ -124,6 +125,10 @@ class Pipeline:
         self._followed.reset()
         self._trust.second_estimate.restart()
         self.learner.restart_after_disconnection()
+
+    def camera_warmed(self) -> None:
+        """Drop the reference that was set while the readings of a cold camera drifted."""
+        self.learner.drop_cold_reference()
 
     def measure_again(self, earlier: LearnedInPass) -> None:
         """Measure a recording from its first frame with what an earlier pass has learned."""
@@ -306,9 +311,13 @@ class Pipeline:
     def _explain(self, active: PreparedModel, roi: RoiDepth) -> tuple[Projection, _Depths] | Lost:
         """Project a frame, and ask whether its surface can be trusted; return its depths with the projection."""
         before = self._coefficients if self._projected_model is active else None
-        best = project(active.basis, roi, before)
+        noise_mm = self._trust.second_estimate.noise.counting(active.model.noise_mm)
+        best = project(active.basis, roi, before, noise_mm)
         outcome = coverage_lost(0.0) if best is None else refusal(best, self._settings) or best
         self._trust.compare(active, is_reference_due=self.learner.reference.is_due)
+        filtered = self._trust.filtered(active)
+        if filtered is not None:
+            return filtered
         if isinstance(outcome, Lost):
             return outcome
         depths_mm = active.depths_mm(outcome.coefficients)

@@ -45,6 +45,8 @@ class PipelineSettings:
         Least share of the region with a reading, and of its readings that the model explains, 0 to 1.
     max_residual_mm
         Largest residual of a measured frame [mm].
+    most_noise_mm
+        Noise of a training from which the camera is not as its kind should be: such a model arms no gate. None for any.
     marker_placement_mm
         How exactly the markers are put back in another fraction, standard deviation of a common shift of all [mm].
     likeness
@@ -65,6 +67,7 @@ class PipelineSettings:
     min_valid_share: float = 0.5
     min_inlier_share: float = 0.6
     max_residual_mm: float = 4.0
+    most_noise_mm: float | None = None
     marker_placement_mm: float = MARKER_PLACEMENT_MM
     training: TrainingSettings = field(default_factory=TrainingSettings)
     likeness: PatientMatchLimits = field(default_factory=PatientMatchLimits)

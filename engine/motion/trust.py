@@ -2,9 +2,14 @@
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.frames import FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.sentences import say
 from engine.motion.cross_check.cross_check import CrossCheck
+from engine.motion.cross_check.present_noise import FILTERED_SHARE
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.tracking.surface_continuity import MarkerLayout, ObservedSurface, SurfaceContinuity, marker_points_mm
+
+LEAST_TRAINED_MM = 2.0
+"""Noise of a training [mm, as a model's] below which a filter is not looked for; usual sensors have 5."""
 
 
 class SurfaceTrust:
@@ -60,8 +65,21 @@ class SurfaceTrust:
             depth_mm=node_depth_mm, markers_px=self._found.centers_px, timestamp_us=self._timestamp_us
         )
         modes = active.node_modes[: active.basis.components]
-        detail = self._continuity.rejection(observed, modes, active.model.noise_mm)
+        noise_mm = self.second_estimate.noise.counting(active.model.noise_mm)
+        detail = self._continuity.rejection(observed, modes, noise_mm)
         return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
+
+    def filtered(self, active: PreparedModel) -> Lost | None:
+        """Return the loss of frames whose depth has far less noise than the training had; None where it has not."""
+        trained_mm, noise = active.model.noise_mm, self.second_estimate.noise
+        if trained_mm < LEAST_TRAINED_MM or not noise.share_soon(trained_mm) < FILTERED_SHARE:
+            return None
+        detail = say(
+            "the depth has only {share:.0%} of the noise of the training: the camera or its driver averages pictures "
+            "over time, or the training was in bad light. Check the camera, then train again",
+            share=noise.share_soon(trained_mm),
+        )
+        return Lost(reason=LostReason.FRAME_FROZEN, detail=detail)
 
     def interrupt(self, lost: Lost) -> None:
         """Take note that the frame was lost: what another surface may have replaced is doubted."""

@@ -206,7 +206,11 @@ def _run_pass(
     run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_from: int | None, *, is_smoothing: bool = False
 ) -> _Pass:
     """Measure all frames; ``live_from`` is the first one that the gate may judge, None if there is none."""
-    results, saver, gate = Results(run.settings), MeshSaver(run.out, run.meshes), OfflineGate(run.limits)
+    results, saver, gate = (
+        Results(run.settings),
+        MeshSaver(run.out, run.meshes),
+        OfflineGate(run.limits, pipeline.learner.learned_ranges),
+    )
     first_measured = None
     with _tables(run.out, run.settings, is_kept) as (table, breaths):
 

@@ -15,18 +15,19 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from engine.core.breath import Breath
+from engine.core.breath import Breath, SignalChoice
 from engine.core.clock import NS_PER_MS, NS_PER_US
 from engine.core.commands import Acknowledge, Arm
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningEvent, LearningStatus
-from engine.core.signals import signal_of
+from engine.core.signals import Ranges, signal_of
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Ending, Gate, GateEvent, Silence, step_gate
 from engine.gating.interlocks import DecisionInputs, interlocks
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.supervision.supervisor import FrameSupervisor
+from engine.gating.windows import breath_depths
 from engine.motion.pipeline import Pipeline
 
 OPERATOR = "offline"
@@ -37,19 +38,29 @@ UNTRAINED = Gate(
 
 
 class OfflineGate:
-    """Decides on every frame of a recording; without limits it stays disarmed."""
+    """Decides on every frame of a recording; without limits it stays disarmed.
 
-    def __init__(self, limits: GateLimits | None) -> None:
+    ``ranges`` returns the learned ranges of signals, as of the model in use.
+    """
+
+    def __init__(
+        self, limits: GateLimits | None, ranges: Callable[[Iterable[SignalChoice]], Ranges] = lambda _: {}
+    ) -> None:
         self._limits = limits
         self._gate = Gate()
         self._supervisor = None if limits is None else FrameSupervisor(limits)
         self._was_armed = False
         self._generation = 0
+        self._ranges, self._ranges_of = ranges, -1
 
     def decide(
         self, frame: RgbdFrame, measurement: Measurement, status: LearningStatus, notices: Iterable[LearningEvent]
     ) -> Gate:
         """Return the gate after a frame; ``status`` and ``notices`` are the learner's after its measurement."""
+        if self._limits is not None and self._ranges_of != status.model_generation:
+            self._ranges_of = status.model_generation
+            depths = breath_depths(self._ranges(self._limits.window.choices))
+            self._limits = replace(self._limits, breath_depths=depths)
         limits, supervisor = self._limits, self._supervisor
         if limits is None or supervisor is None:
             return self._gate

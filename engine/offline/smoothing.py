@@ -1,7 +1,8 @@
 """Smooths the motion of a recording over the frames around each: a session cannot, as it does not know the next ones.
 
 A parabola is fitted to the measured frames within a tenth of a second on either side. It keeps what a breath or a cough
-does and takes off nearly half of the noise from frame to frame. A lost frame ends the stretch that is fitted.
+does and takes off nearly half of the noise from frame to frame. A lost frame ends the stretch that is fitted, and so
+does a change of doubt: the step of a couch is no motion of the frames before it.
 """
 
 from collections import deque
@@ -84,7 +85,9 @@ def _smoothed(kept: deque[_Waiting], at: int) -> Measurement:
 
 
 def _belongs(one: Measurement, found: Measurement) -> bool:
-    return one.motion is not None and abs(one.timestamp_us - found.timestamp_us) <= HALF_US
+    """Whether a frame is fitted with another: near in time, measured, and doubted if and only if the other is."""
+    is_alike = (one.doubt is None) == (found.doubt is None)
+    return one.motion is not None and is_alike and abs(one.timestamp_us - found.timestamp_us) <= HALF_US
 
 
 def _combined(motion: Motion, motions: list[Motion], weights: FloatArray) -> Motion:

@@ -21,6 +21,7 @@ MAX_LAG_S = 0.6
 LAG_STEP_S = 0.01
 MIN_FRAMES = 60
 STILL_MM = 1e-3
+STEP_S = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +129,6 @@ def _lag_s(at_s: FloatArray, motion_mm: FloatArray, trace: CommandedTrace) -> fl
     best = float(coarse[int(np.argmin([dissimilarity(lag_s) for lag_s in coarse.tolist()]))])
     span = (max(best - LAG_STEP_S, -MAX_LAG_S), min(best + LAG_STEP_S, MAX_LAG_S))
     return float(minimize_scalar(dissimilarity, bounds=span, method="bounded").x)
-
-
-STEP_S = 0.001
 
 
 def longest_outside_s(

@@ -24,8 +24,6 @@ from engine.qa.phantom import measure_phantom
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaKind, QaNeed, QaReport, QaResult, QaSeries, judge
 
-# Camera QA on a flat plate: distance, angles, noise, missing pixels, flatness, drift and warm-up.
-
 STEP_FRAMES = 12
 LAST_S = 30.0
 MIN_TRACK_SECONDS = 10
@@ -33,8 +31,11 @@ MIN_SECONDS, SLACK_S = SECONDS_BOUNDS[0], 0.2
 """Shortest recording that is judged [s]; the slack allows for lost frames at the end of a ten-second recording."""
 
 NO_CORRECTION = DepthCorrection(scale=1.0, offset_mm=0.0)
+Progress: TypeAlias = Callable[[QaNeed, int, int | None], None]
+"""Called with (stage, done, total), in frames or pulses; the total is None where it is unknown."""
 
 
+# Camera QA on a flat plate: distance, angles, noise, missing pixels, flatness, drift and warm-up.
 def measure_plate(plate: PlateInput, on_frame: Callable[[int], None]) -> tuple[list[QaFigure], list[QaSeries]]:
     """Measure the plate's figures and its distance over time; if it cannot be read, every plate check fails."""
     try:
@@ -110,10 +111,6 @@ def _track(reading: PlateReading) -> QaSeries:
         y_label="distance as read, mm",
         curves=(QaCurve(name="plate", x=at_s, y=tuple(distance for _, distance in reading.track)),),
     )
-
-
-Progress: TypeAlias = Callable[[QaNeed, int, int | None], None]
-"""Called with (stage, done, total), in frames or pulses; the total is None where it is unknown."""
 
 
 def no_progress(_stage: QaNeed, _done: int, _total: int | None) -> None:

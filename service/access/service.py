@@ -29,15 +29,14 @@ from service.storage.audit import Event
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 
-# Periodic work of access: write refusals to the audit, delete expired log-ins, save times of last use.
-#
-# Runs in one thread on which no request waits. A write that the database refuses is repeated in the next round.
-
 logger = logging.getLogger(__name__)
 INTERVAL_S = 1.0
 ROUNDS_PER_MINUTE = 60
 
 
+# Periodic work of access: write refusals to the audit, delete expired log-ins, save times of last use.
+#
+# Runs in one thread on which no request waits. A write that the database refuses is repeated in the next round.
 class AccessCleanupWorker:
     """Writes refusals every second; summary and clean-up once a minute.
 

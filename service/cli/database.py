@@ -15,6 +15,7 @@ from service.cli.terminal import refused, say
 from service.core.settings.database_place import shown_place
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.storage.database.engine import Database
+from service.storage.database.identities import collisions
 from service.storage.database.migrations import BASE, losses, schema_status, titles
 from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
@@ -33,6 +34,10 @@ def status(data: Data = None) -> None:
         typer.echo(f"{shown_place(there.place)}: {_named(found.revision)}")
         for revision in found.ahead:
             typer.echo(f"  pending: {revision} {words[revision]}")
+        if not found.ahead:
+            with there.connect() as connection:
+                for one in collisions(connection):
+                    typer.echo(f"  {one.kind} {one.text!r} is like {one.like!r}: not merged, see that they are two")
 
 
 @database.command()

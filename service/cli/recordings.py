@@ -25,7 +25,7 @@ def info(
 ) -> None:
     """Print what an .oni recording contains and check it for damage.
 
-    Exit code 0 when it is intact, 2 when it is damaged or cannot be read.
+    Exit code 0 when it is intact, 2 when it is damaged, cannot be read, or has times that no camera gives.
     """
     try:
         with _bar("checking" if not is_quick else "reading") as bar:
@@ -41,8 +41,9 @@ def info(
         sys.stdout.write(json.dumps(description.document(), indent=2) + "\n")
     else:
         _print_table(description)
-    if description.damage is not None:
-        sys.stderr.write(f"{description.damage}\n")
+    trouble = description.damage or description.impossible_times
+    if trouble is not None:
+        sys.stderr.write(f"{trouble}\n")
         raise typer.Exit(_EXIT_BAD_INPUT)
 
 
@@ -129,6 +130,8 @@ def _print_table(description: RecordingDescription) -> None:
 def _verdict(description: RecordingDescription) -> str:
     if description.damage is not None:
         return "damaged: only the frames above can be read"
+    if description.impossible_times is not None:
+        return "its times are impossible: it cannot be measured"
     return "all pictures decode" if description.is_checked else "index intact; pictures not checked"
 
 
@@ -144,4 +147,5 @@ def _column(stream: StreamSummary) -> dict[str, str]:
         "frames/s": f"{rate} (nominal {stream.nominal_fps})",
         "MB": f"{stream.coded_bytes / 1e6:.1f}",
         "shift table": "yes" if stream.has_shift_table else "no",
+        "stored mirrored": "yes: turned round when read" if stream.is_mirrored else "no",
     }

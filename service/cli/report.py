@@ -40,7 +40,8 @@ def report(
         settings = settings_of_database(data)
         database = Database(settings.database_place)
         try:
-            stored = ReportService(database, SampleStore(settings.data_dir / SAMPLES_FOLDER)).of(session)
+            samples = SampleStore(settings.data_dir / SAMPLES_FOLDER)
+            stored = ReportService(database, samples, needs_two=settings.needs_countersignature).of(session)
             body = report_pdf(stored) if out.suffix == ".pdf" else report_html(stored).encode()
             with whole_file(out) as file:
                 file.write(body)

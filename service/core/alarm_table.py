@@ -18,11 +18,21 @@ from importlib import resources
 from engine.core.gate_state import AlarmGroup, HoldReason
 
 _LANGUAGE = resources.files("service") / "web" / "dashboard" / "lang" / "en.json"
+PERMIT_WITHOUT_BEAM = "permit_without_beam"
+AUDIT_TROUBLE = "audit_trouble"
+THREAD_ENDED = "thread_ended"
+LOOK_DELAY_S = 2.0
+"""Of holds that a person has to look into: a cough or a hand clears sooner."""
+SIGHT_DELAY_S = 5.0
+"""Of holds that mostly clear by themselves."""
+_FAULT_ENDS = "the acknowledgement; if the cause persists, another alarm begins"
+_HOLD_ENDS = "the gate does not hold for it for 1 s, or is disarmed"
 
 
 def _texts() -> dict[HoldReason, str]:
+    """Return the sentence of each reason; a reason that has none yet is called by its code."""
     words = json.loads(_LANGUAGE.read_text(encoding="utf-8"))
-    return {reason: words[f"hold.{reason.value}.what"] for reason in HoldReason}
+    return {reason: words.get(f"hold.{reason.value}.what", reason.value.replace("_", " ")) for reason in HoldReason}
 
 
 HOLD_TEXTS: dict[HoldReason, str] = _texts()
@@ -86,19 +96,6 @@ class AlarmRule:
     def latches(self) -> bool:
         """Whether it lasts until a named person acknowledges it, though its cause is gone."""
         return self.scope is AlarmScope.FAULT
-
-
-PERMIT_WITHOUT_BEAM = "permit_without_beam"
-AUDIT_TROUBLE = "audit_trouble"
-THREAD_ENDED = "thread_ended"
-
-LOOK_DELAY_S = 2.0
-"""Of holds that a person has to look into: a cough or a hand clears sooner."""
-SIGHT_DELAY_S = 5.0
-"""Of holds that mostly clear by themselves."""
-
-_FAULT_ENDS = "the acknowledgement; if the cause persists, another alarm begins"
-_HOLD_ENDS = "the gate does not hold for it for 1 s, or is disarmed"
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 _arrived_ns: ContextVar[int | None] = ContextVar("arrived_ns", default=None)
+HEADER = "x-request-id"
+GIVEN = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+"""A request id that a caller may choose; anything else could forge text in the log."""
+IN_A_SESSION = re.compile(r"/api/v1/sessions/([0-9a-f]{32})(?:/|\Z)")
+_request_id: ContextVar[str | None] = ContextVar("tidegate_request_id", default=None)
+_session_id: ContextVar[str | None] = ContextVar("tidegate_session_id", default=None)
 
 
 @contextmanager
@@ -31,15 +37,6 @@ def request_time_ns() -> int:
     """Return when the current request arrived [ns]; the present time outside of a request."""
     arrived_ns = _arrived_ns.get()
     return time.monotonic_ns() if arrived_ns is None else arrived_ns
-
-
-HEADER = "x-request-id"
-GIVEN = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-"""A request id that a caller may choose; anything else could forge text in the log."""
-IN_A_SESSION = re.compile(r"/api/v1/sessions/([0-9a-f]{32})(?:/|\Z)")
-
-_request_id: ContextVar[str | None] = ContextVar("tidegate_request_id", default=None)
-_session_id: ContextVar[str | None] = ContextVar("tidegate_session_id", default=None)
 
 
 def request_id_of(given: Sequence[bytes]) -> str:

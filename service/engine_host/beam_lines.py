@@ -45,6 +45,7 @@ from service.core.settings.beam import READBACK, BeamSettings, LineKind, second_
 from service.core.settings.settings import Settings
 
 LinePart: TypeAlias = SimulatedBeamLine | WiredBeamLine
+PREFIX = b"\0tidegate-target-"
 
 
 def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
@@ -142,7 +143,7 @@ def _rtu(settings: BeamSettings, is_session: bool) -> ModbusWire:  # noqa: FBT00
     )
 
 
-def _relay(settings: BeamSettings, _is_session: bool) -> RelayWire:  # noqa: FBT001 - in a table
+def _relay(settings: BeamSettings, is_session: bool) -> RelayWire:  # noqa: FBT001 - in a table
     return RelayWire(
         device=settings.beam_relay_device,
         baud=settings.beam_relay_baud,
@@ -150,6 +151,7 @@ def _relay(settings: BeamSettings, _is_session: bool) -> RelayWire:  # noqa: FBT
         channel=settings.beam_relay_channel,
         contact=settings.beam_relay_contact,
         heartbeat_channel=settings.beam_heartbeat_channel,
+        expected_channel=settings.beam_expected_channel if is_session else None,
     )
 
 
@@ -168,9 +170,6 @@ def _senders(settings: BeamSettings) -> list[Sender]:
 
 def _utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-PREFIX = b"\0tidegate-target-"
 
 
 class TargetInUseError(TidegateError):

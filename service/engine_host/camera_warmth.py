@@ -7,12 +7,13 @@ delivers. What cannot be read there counts as cold: that only lengthens the time
 import fcntl
 import json
 import logging
+import math
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from datetime import UTC, datetime
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -39,47 +40,71 @@ WANTED, KEPT = "camera.wanted", "camera.kept"
 CLAIM_POLL_S = 0.05
 
 
+class RunTime(NamedTuple):
+    """Time since the machine's start, which no setting of its clock moves; ``boot`` names that start."""
+
+    boot: str
+    seconds: float
+
+
+def machine_run_time() -> RunTime:
+    """Return the run time of this machine, its sleep included."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        boot = ""
+    return RunTime(boot, time.clock_gettime(time.CLOCK_BOOTTIME))
+
+
 class Seen(NamedTuple):
-    """What the file says of a camera: its warmth, when, and when a session used it last."""
+    """What the file says of a camera: its warmth, since when, when a session used it last [s], and its address."""
 
     cold_share: float
-    at: datetime
-    used: datetime
+    boot: str
+    at_s: float
+    used_s: float
+    address: str
 
 
 class WarmthFile:
-    """The file, with a line for each camera by its address."""
+    """The file, with a line for each camera by its serial number: another one at the same socket is another one.
 
-    def __init__(self, folder: Path, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
-        self._path, self._now = folder / NAME, now
+    A camera without a serial number, and one of before the machine's start, is cold.
+    """
 
-    def read(self, address: str, warm_up_s: float) -> Warmth:
+    def __init__(self, folder: Path, run_time: Callable[[], RunTime] = machine_run_time) -> None:
+        self._path, self._run_time = folder / NAME, run_time
+
+    def read(self, serial: str, warm_up_s: float) -> Warmth:
         """Return the warmth of a camera that has not run since it was written down; cold where that is not known."""
-        seen = self._all().get(address)
-        if seen is None:
+        now, seen = self._run_time(), self._all().get(serial)
+        if seen is None or not now.boot or seen.boot != now.boot or seen.at_s > now.seconds:
             return Warmth(warm_up_s)
-        away_s = (self._now() - seen.at).total_seconds()
-        warmth = Warmth(warm_up_s, seen.cold_share if away_s >= 0.0 else 1.0)
-        warmth.rest(away_s)
+        warmth = Warmth(warm_up_s, seen.cold_share)
+        warmth.rest(now.seconds - seen.at_s)
         return warmth
 
-    def write(self, address: str, warmth: Warmth, *, is_used: bool) -> None:
+    def write(self, serial: str, warmth: Warmth, *, address: str, is_used: bool) -> None:
         """Write down a camera that runs now, ``is_used`` by a session; a full disk leaves the file as it was."""
-        cameras, now = self._all(), self._now()
-        before = cameras.get(address)
-        used = now if is_used or before is None else before.used
-        cameras[address] = Seen(cold_share=warmth.cold_share, at=now, used=used)
-        text = {name: [one.cold_share, one.at.isoformat(), one.used.isoformat()] for name, one in cameras.items()}
+        now = self._run_time()
+        if not serial or not now.boot:
+            return
+        cameras = {name: one for name, one in self._all().items() if one.boot == now.boot}
+        before = cameras.get(serial)
+        used_s = now.seconds if is_used or before is None else before.used_s
+        cameras[serial] = Seen(warmth.cold_share, now.boot, now.seconds, used_s, address)
+        text = {name: list(one) for name, one in cameras.items()}
         with suppress(OSError):
             write_whole(self._path, json.dumps(text, indent=1).encode())
 
     def newest(self) -> tuple[str, float] | None:
-        """Return the camera that a session used last, and how long ago that was [s]; None without one."""
-        cameras = self._all()
+        """Return the address of the camera that a session used last, and how long ago [s]; None without one."""
+        now = self._run_time()
+        cameras = [one for one in self._all().values() if one.boot == now.boot]
         if not cameras:
             return None
-        address = max(cameras, key=lambda name: cameras[name].used)
-        return address, (self._now() - cameras[address].used).total_seconds()
+        newest = max(cameras, key=lambda one: one.used_s)
+        return newest.address, now.seconds - newest.used_s
 
     def _all(self) -> dict[str, Seen]:
         try:
@@ -89,17 +114,10 @@ class WarmthFile:
             return {}
 
 
-def _seen(cold_share: float, at: str, used: str) -> Seen:
-    if not 0.0 <= cold_share <= 1.0:
+def _seen(cold_share: float, boot: str, at_s: float, used_s: float, address: str) -> Seen:
+    if not 0.0 <= cold_share <= 1.0 or not all(map(math.isfinite, (at_s, used_s))):
         raise ValueError(cold_share)
-    return Seen(float(cold_share), _time(at), _time(used))
-
-
-def _time(text: str) -> datetime:
-    found = datetime.fromisoformat(text)
-    if found.tzinfo is None:
-        raise ValueError(text)
-    return found
+    return Seen(float(cold_share), str(boot), float(at_s), float(used_s), str(address))
 
 
 class WarmingSource:
@@ -110,16 +128,19 @@ class WarmingSource:
     ) -> None:
         self._source, self._warmth = source, warmth
         self._file, self._address, self._is_used = file, address, is_used
+        self._serial = ""
         self._stop = threading.Event()
         self._saver: threading.Thread | None = None
 
     def open(self) -> SourceDescription:
-        """Open the source."""
+        """Open the source; only now it is known which camera that is, and how cold."""
         described = self._source.open()
+        self._serial = described.serial
+        self._warmth.cold_share = self._file.read(self._serial, self._warmth.warm_up_s).cold_share
         self._stop = threading.Event()
         self._saver = threading.Thread(target=self._run, name="camera-warmth", daemon=True)
         self._saver.start()
-        return described
+        return replace(described, cold_share=self._warmth.cold_share)
 
     def read(self, timeout_s: float) -> RgbdFrame:
         """Return the next frame."""
@@ -138,7 +159,7 @@ class WarmingSource:
         is_over = False
         while not is_over:
             is_over = self._stop.wait(SAVE_S)
-            self._file.write(self._address, self._warmth, is_used=self._is_used)
+            self._file.write(self._serial, self._warmth, address=self._address, is_used=self._is_used)
 
 
 class CameraClaim:
@@ -290,7 +311,7 @@ class CameraKeeper:
     def _keep(self, address: str, stop: threading.Event) -> None:
         listed, options = drivers.listed_address(address), self._settings.camera_options
         camera: LiveSource = drivers.open_camera(listed, clock=self._clock, options=options)
-        warmth = self._file.read(address, warm_up_s(address, self._settings))
+        warmth = Warmth(warm_up_s(address, self._settings))
         source = WarmingSource(camera, warmth, self._file, address, is_used=False)
         try:
             source.open()

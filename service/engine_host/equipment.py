@@ -17,6 +17,10 @@ from engine.control import LiveView
 from service.core.errors import QaActiveError, ServiceStoppingError, SessionActiveError
 from service.engine_host.roles import RunningSession
 
+PROCESSES = Path("/proc")
+MODULES = {b"service.engine_host.process", b"service.engine_process"}
+"""The module that an engine process runs: the present name, and the earlier one for the start after an upgrade."""
+
 
 class ArmedSession(NamedTuple):
     """A session whose gate is armed, and by whom."""
@@ -117,11 +121,6 @@ class EquipmentSlot:
         with self._lock:
             if self.of(session_id) is not None:
                 self._running = None
-
-
-PROCESSES = Path("/proc")
-MODULES = {b"service.engine_host.process", b"service.engine_process"}
-"""The module that an engine process runs: the present name, and the earlier one for the start after an upgrade."""
 
 
 def end_engines_holding(path: Path) -> list[int]:

@@ -106,6 +106,10 @@ class LocalEngine:
         )
         self._keeper.end()
         measuring = measuring_with(self._measuring, plan.regions, plan.window, plan.head_direction)
+        if isinstance(plan.source, sessions.DeviceSource):
+            address = plan.source.uri or self._settings.camera_uri
+            if address:  # otherwise its kind is not known before it is open
+                measuring = replace(measuring, most_noise_mm=drivers.most_noise_mm(address))
         tape = SessionTape(plan, self._settings)
         pipeline = Pipeline(
             plan.calibration,
@@ -128,7 +132,7 @@ class LocalEngine:
         self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
     ) -> "LoopEngine":
         source, warmth = self._source(plan)
-        limits = replace(limits, warm_up_s=warmth.warm_up_s, cold_share=warmth.cold_share)
+        limits = replace(limits, warm_up_s=warmth.warm_up_s)
         beam = make_beam_line(self._settings, self._clock)
         loop = EngineLoop(
             source=source,
@@ -137,6 +141,7 @@ class LocalEngine:
             beam=beam,
             beam_on=lambda: beam_on_state(beam),
             camera_view=CameraViewMeter(plan.calibration.depth, warmth).look,
+            fraction_arming=plan.fraction_arming,
             limits=limits,
             clock=self._clock,
             tap=tape.tap,
@@ -182,7 +187,7 @@ class LocalEngine:
             assert plan.recording is not None, "a recording was resolved when the session started"
             return self._player(plan.recording, plan.source.player), Warmth(0.0)
         address = drivers.listed_address(plan.source.uri, self._settings.camera_uri)
-        warmth = self._warmth.read(address, warm_up_s(address, self._settings))
+        warmth = Warmth(warm_up_s(address, self._settings))
         camera = self._returning_camera(address, plan.calibration)
         return WarmingSource(camera, warmth, self._warmth, address), warmth
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 from engine.calibration import Calibration
 from engine.control import Command, EngineStatus, FrameRecord, GateTransition, TransitionJournal
+from engine.core.fraction_arming import FractionArming
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningEvent
@@ -34,6 +35,7 @@ class SessionPlan:
     ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given;
     ``first_reference`` is that of an earlier session of the same fraction; ``plan_position`` is that of the plan's
     first fraction, where this is another one, and ``plan_session_id`` the session that confirmed it;
+    ``fraction_arming`` is what earlier sessions of the fraction were armed with;
     ``camera_latency_ms`` is what the gate counts for the camera, None for the site's value.
     """
 
@@ -51,6 +53,7 @@ class SessionPlan:
     first_reference: FirstReference | None = None
     camera_latency_ms: float | None = None
     plan_position: FirstReference | None = None
+    fraction_arming: FractionArming | None = None
     plan_session_id: str | None = None
 
 

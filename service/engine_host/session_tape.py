@@ -65,6 +65,7 @@ class SessionTape:
                 model=plan.model,
                 first_reference=plan.first_reference,
                 plan_position=plan.plan_position,
+                fraction_arming=plan.fraction_arming,
                 frames=self._frames(),
                 software=this_software(),
                 machine=this_machine(),

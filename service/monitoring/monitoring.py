@@ -20,6 +20,7 @@ from service.monitoring.readiness import ReadinessProbe
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.counters import SessionCounters
 from service.storage.audit.supervision import AuditSupervision
+from service.storage.believed_time import BelievedTime
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.files.cleanup import CleanupWorker
@@ -36,6 +37,7 @@ class MonitoredServices:
     counters: SessionCounters
     audit_supervision: AuditSupervision
     cleanup: CleanupWorker
+    believed_time: BelievedTime
     access: AccessService
     armed_operator: ArmedOperator
     alarms: AlarmWatch
@@ -74,6 +76,7 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
         engine_trouble=_trouble_of(services.engine),
         is_stopping=lambda: services.equipment.is_closed,
         certificate=services.certificate,
+        time=services.believed_time,
     )
     collector = MachineMetrics(
         data_dir=services.settings.data_dir,

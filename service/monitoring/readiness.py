@@ -21,10 +21,11 @@ from service.core.settings.settings import Settings
 from service.monitoring.certificate import ServedCertificate
 from service.qa.arming_requirement import refuse_without_qa
 from service.qa.latency.requirement import refuse_unmeasured_site
-from service.storage.audit.check import clock_went_back
+from service.storage.believed_time import BelievedTime
 from service.storage.database.engine import Database
 
 MIB = 1024 * 1024
+MOST_LOG_MB = 64.0
 LONGEST_AGE_MS = 5_000.0
 """An older result is not returned, even while a probe hangs."""
 
@@ -59,7 +60,9 @@ class ReadinessProbe:
         has_camera_runtime: Callable[[], bool] = is_any_installed,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
         clock: Clock | None = None,
+        time: BelievedTime | None = None,
     ) -> None:
+        self._time = time or BelievedTime(database, now=now)
         self._database = database
         self._settings = settings
         self._audit_troubles = audit_troubles
@@ -132,6 +135,16 @@ class ReadinessProbe:
         yield from self._runtime_trouble(is_needed=False)
         yield from self._certificate_warning()
         yield from self._clock_trouble()
+        log_mb = self._database.log_bytes() / MIB
+        if log_mb > MOST_LOG_MB:
+            detail = f"the database's write-ahead log has {log_mb:.0f} MiB: another process reads it and does not end"
+            yield _reason(ReadinessCode.DATABASE_LOG_LARGE, detail)
+        if self._settings.anchor_file.resolve().is_relative_to(self._settings.data_dir.resolve()):
+            detail = (
+                "the audit's anchors lie in the data folder: rows that are cut off together with their anchors are not "
+                "noticed. Set audit.anchor_file to a place outside of it"
+            )
+            yield _reason(ReadinessCode.ANCHORS_INSIDE, detail)
 
     def _database_trouble(self) -> Iterator[ReadinessReason]:
         try:
@@ -189,14 +202,18 @@ class ReadinessProbe:
             yield _reason(ReadinessCode.CERTIFICATE_ENDS_SOON, f"the TLS certificate ends on {ends_at:%Y-%m-%d}")
 
     def _clock_trouble(self) -> Iterator[ReadinessReason]:
+        tolerance = timedelta(milliseconds=self._settings.audit_clock_jump_ms)
         try:
             with self._database.read() as db:
-                event = clock_went_back(db, self._now(), self._settings.audit_clock_jump_ms / 1000.0)
+                latest = self._time.behind(db, tolerance)
         except SQLAlchemyError:
             return
-        if event is not None:
-            detail = "the wall clock is behind the newest row of the audit: it was set back"
+        if latest is not None:
+            detail = f"the wall clock is behind the audit's latest time, {latest:%Y-%m-%d %H:%M}: it was set back"
             yield _reason(ReadinessCode.CLOCK_BEHIND, detail)
+        doubt = self._time.doubt()
+        if doubt is not None:
+            yield _reason(ReadinessCode.CLOCK_DOUBTED, doubt)
 
 
 def _reason(code: ReadinessCode, detail: str) -> ReadinessReason:

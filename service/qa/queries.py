@@ -30,6 +30,7 @@ from service.storage.database.base import UtcTime
 from service.storage.database.tables import AuditRow, QaBaselineRow, QaOutcomeRow, QaResultRow, QaRunRow, SessionRow
 
 TREATMENTS = "treatment_beam_off_ms"
+START, END, BASELINE = "qa.start", "qa.end", "qa.baseline"
 
 
 def treatment_figures(db: Session, *, is_simulated_beam: bool) -> list[QaFigure]:
@@ -63,9 +64,6 @@ def treatment_figures(db: Session, *, is_simulated_beam: bool) -> list[QaFigure]
     count = f"{len(offs_ms)} holds in {len({session_id for _, session_id in rows})} sessions since the last run"
     detail = f"{count}: median {np.median(offs_ms):.1f} ms, slowest {max(offs_ms):.1f} ms"
     return [QaFigure(code=TREATMENTS, value=float(np.percentile(offs_ms, 95.0)), detail=detail)]
-
-
-START, END, BASELINE = "qa.start", "qa.end", "qa.baseline"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -63,12 +63,30 @@ from service.web.stream.hub import LiveHub
 from service.web.stream.metrics import StreamMetrics
 from service.web.stream.resume import Resumption
 
-# The application's start and stop; at the stop the beam is held before anything is closed.
-
 TURN_S = 0.03
 """Period of reporting that the event loop turns; as short as that of the heartbeats that carry it."""
+LANGUAGE_LIST = "/lang/index.json"
+_NAME = re.compile(r"[a-z]{2}(-[A-Z]{2})?")
+DASHBOARD = Path(str(files("service.web"))) / "dashboard"
+PATIENT = "/patient"
+"""Address of the patient screen's page."""
+OFFICE = "/office"
+"""Address of the page of everything that is not done at the patient: past sessions, plans, QA, models, audit."""
+PLAN_IMPORT = ("POST", "/api/v1/plans")
+STRICT = (require_known_query, require_acceptable, require_json)
+DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
+
+No call switches the beam on: a call can only arm the gate, which then decides. The exception is QA on a real beam
+line: a physicist with a one-time code from the machine, while no session is created or running. Lengths are mm,
+volumes l, times RFC 3339 UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problems with a
+stable `code`, and with `field`, `value` and `bound` if a value broke a bound.
+
+People log in and use a cookie; machines send an API key as `Authorization: Bearer tg_...`. `x-permission` of an
+operation is the permission it needs. A call of a person acts in the name of the log-in, and `operator` may be left out
+of its body; an API key sends in `operator` the name of the person it acts for."""
 
 
+# The application's start and stop; at the stop the beam is held before anything is closed.
 async def report_turns(note: Callable[[int], None]) -> None:
     """Report each turn of the running event loop with its time [ns, host monotonic], until cancelled."""
     while True:
@@ -137,11 +155,6 @@ def _refusal(error: TidegateError | SQLAlchemyError) -> str:
 
 
 # The languages of the page: the files of ``dashboard/lang``, listed for the page; a new language is a new file.
-
-LANGUAGE_LIST = "/lang/index.json"
-_NAME = re.compile(r"[a-z]{2}(-[A-Z]{2})?")
-
-
 def language_names(dashboard: Path) -> list[str]:
     """Return the languages that have a file, in alphabetical order; files with other names are none."""
     return sorted(file.stem for file in (dashboard / "lang").glob("*.json") if _NAME.fullmatch(file.stem))
@@ -155,25 +168,6 @@ def language_route(dashboard: Path) -> Route:
         return JSONResponse({"languages": names})
 
     return Route(LANGUAGE_LIST, listed, name="languages")
-
-
-DASHBOARD = Path(str(files("service.web"))) / "dashboard"
-PATIENT = "/patient"
-"""Address of the patient screen's page."""
-OFFICE = "/office"
-"""Address of the page of everything that is not done at the patient: past sessions, plans, QA, models, audit."""
-PLAN_IMPORT = ("POST", "/api/v1/plans")
-STRICT = (require_known_query, require_acceptable, require_json)
-DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
-
-No call switches the beam on: a call can only arm the gate, which then decides. The exception is QA on a real beam
-line: a physicist with a one-time code from the machine, while no session is created or running. Lengths are mm,
-volumes l, times RFC 3339 UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problems with a
-stable `code`, and with `field`, `value` and `bound` if a value broke a bound.
-
-People log in and use a cookie; machines send an API key as `Authorization: Bearer tg_...`. `x-permission` of an
-operation is the permission it needs. A call of a person acts in the name of the log-in, and `operator` may be left out
-of its body; an API key sends in `operator` the name of the person it acts for."""
 
 
 def create_app(

@@ -41,6 +41,7 @@ from service.storage.audit.anchors import AnchorFile
 from service.storage.audit.log import AuditLog
 from service.storage.audit.service import AuditService
 from service.storage.audit.supervision import AuditSupervision
+from service.storage.believed_time import BelievedTime
 from service.storage.database.engine import Database
 from service.storage.database.startup import SAMPLES_FOLDER, prepare
 from service.storage.files.cleanup import CleanupWorker
@@ -75,6 +76,7 @@ class _Storage:
     alarms: AlarmWatch
     audit_supervision: AuditSupervision
     cleanup: CleanupWorker
+    believed_time: BelievedTime
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,6 +175,8 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
     on_failure.callback(database.close)
     database.claim()
     prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
+    believed_time = BelievedTime(database)
+    believed_time.start()
     log, samples = AuditLog(database), SampleStore(settings.data_dir / SAMPLES_FOLDER)
     audit_supervision = AuditSupervision(database=database, settings=settings, write=log.write)
     on_failure.callback(audit_supervision.close)
@@ -183,7 +187,8 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
         journals=Journals(settings.data_dir, settings.journal_dir),
         alarms=AlarmWatch(equipment, database),
         audit_supervision=audit_supervision,
-        cleanup=CleanupWorker(database, settings, is_busy=lambda: equipment.running is not None),
+        cleanup=CleanupWorker(database, settings, is_busy=lambda: equipment.running is not None, time=believed_time),
+        believed_time=believed_time,
     )
 
 
@@ -263,6 +268,7 @@ def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Ac
         counters=dependencies.counters,
         audit_supervision=storage.audit_supervision,
         cleanup=storage.cleanup,
+        believed_time=storage.believed_time,
         access=access.service,
         armed_operator=access.armed_operator,
         alarms=storage.alarms,
@@ -281,7 +287,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         runner=work.runner,
         arming=work.arming,
         samples=SampleService(database, storage.samples),
-        reports=ReportService(database, storage.samples),
+        reports=ReportService(database, storage.samples, needs_two=settings.needs_countersignature),
         traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),

@@ -45,6 +45,27 @@ from service.web.paging import LONGEST as LONGEST_CURSOR, Paging
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 PARAMETER = re.compile(r"\{(\w+)\}")
+CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
+"""Media types of an uploaded calibration; a form of another origin can send none of them."""
+MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom", "application/octet-stream")}
+BODY_WAIT_S = 0.25
+"""How long a call that takes permission away waits for its body, which only names whom a machine acts for [s]."""
+NOT_WHOLE = "it did not come whole"
+SessionId = Annotated[Identifier, Path(description="The session's id")]
+CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
+PlanId = Annotated[Identifier, Path(description="The plan's id")]
+ModelId = Annotated[Identifier, Path(description="The model's id")]
+Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next_cursor` of the page before")]
+Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
+Since = Annotated[AwareDatetime | None, Query(description="From this time on")]
+Until = Annotated[AwareDatetime | None, Query(description="Before this time")]
+OperatorName = Annotated[
+    Name | None,
+    Query(
+        description="The person who uploads: optional for a logged-in person; for a machine, the person it acts for",
+        examples=["A. Physicist"],
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,11 +148,6 @@ async def json_body(request: Request) -> bytes:
     return await request.body()
 
 
-CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
-"""Media types of an uploaded calibration; a form of another origin can send none of them."""
-MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom", "application/octet-stream")}
-
-
 async def require_json(request: Request) -> None:
     """Refuse a body whose Content-Type is not JSON: a form of another origin could send it otherwise.
 
@@ -170,11 +186,6 @@ async def _calling(connection: HTTPConnection) -> RequestCaller:
     return caller(connection)
 
 
-BODY_WAIT_S = 0.25
-"""How long a call that takes permission away waits for its body, which only names whom a machine acts for [s]."""
-NOT_WHOLE = "it did not come whole"
-
-
 async def _withdrawing_operator(request: Request, caller: Annotated[RequestCaller, Depends(_calling)]) -> str:
     """Return the operator of a call that takes permission away, without refusing any body or waiting for it.
 
@@ -203,14 +214,6 @@ WithdrawalThreads = Annotated[ReservedThreads, Depends(_withdrawal_threads)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
 PlanFile = Annotated[bytes, Depends(plan_file)]
-SessionId = Annotated[Identifier, Path(description="The session's id")]
-CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
-PlanId = Annotated[Identifier, Path(description="The plan's id")]
-ModelId = Annotated[Identifier, Path(description="The model's id")]
-Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next_cursor` of the page before")]
-Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
-Since = Annotated[AwareDatetime | None, Query(description="From this time on")]
-Until = Annotated[AwareDatetime | None, Query(description="Before this time")]
 
 
 def _paged(usual: int) -> Callable[..., Awaitable[Paging]]:
@@ -223,13 +226,6 @@ def _paged(usual: int) -> Callable[..., Awaitable[Paging]]:
 Pages50 = Annotated[Paging, Depends(_paged(50))]
 Pages100 = Annotated[Paging, Depends(_paged(100))]
 Pages200 = Annotated[Paging, Depends(_paged(200))]
-OperatorName = Annotated[
-    Name | None,
-    Query(
-        description="The person who uploads: optional for a logged-in person; for a machine, the person it acts for",
-        examples=["A. Physicist"],
-    ),
-]
 
 
 async def callers_key(

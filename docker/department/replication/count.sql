@@ -4,6 +4,7 @@
 BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY;
 SELECT 'audit', count(*), (SELECT hash FROM audit ORDER BY sequence DESC LIMIT 1) FROM audit;
 SELECT 'calibrations', count(*) FROM calibrations;
+SELECT 'identities', count(*) FROM identities;
 SELECT 'models', count(*) FROM models;
 SELECT 'plan_contradictions', count(*) FROM plan_contradictions;
 SELECT 'plans', count(*) FROM plans;

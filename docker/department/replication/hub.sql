@@ -12,8 +12,8 @@ DO $$ BEGIN
     CREATE ROLE tidegate_reader NOLOGIN;
   END IF;
 END $$;
-GRANT SELECT ON audit, calibrations, models, plan_contradictions, plans, qa_baselines, qa_outcomes, qa_results, qa_runs,
-  sessions, alembic_version TO tidegate_reader;
+GRANT SELECT ON audit, calibrations, identities, models, plan_contradictions, plans, qa_baselines, qa_outcomes, qa_results,
+  qa_runs, sessions, alembic_version TO tidegate_reader;
 -- The slot in the room is named after the hub's database.
 SELECT current_database() AS slot \gset
 CREATE SUBSCRIPTION :"slot" CONNECTION :'room' PUBLICATION tidegate_records;

@@ -20,8 +20,8 @@ DO $$ BEGIN
   END IF;
 END $$;
 -- What a department looks at. Not accounts, log-ins, keys and stored answers: their secrets stay in the room.
-ALTER PUBLICATION tidegate_records SET TABLE audit, calibrations, models, plan_contradictions, plans, qa_baselines,
-  qa_outcomes, qa_results, qa_runs, sessions;
-GRANT SELECT ON audit, calibrations, models, plan_contradictions, plans, qa_baselines, qa_outcomes, qa_results, qa_runs,
-  sessions TO tidegate_replica;
+ALTER PUBLICATION tidegate_records SET TABLE audit, calibrations, identities, models, plan_contradictions, plans,
+  qa_baselines, qa_outcomes, qa_results, qa_runs, sessions;
+GRANT SELECT ON audit, calibrations, identities, models, plan_contradictions, plans, qa_baselines, qa_outcomes, qa_results,
+  qa_runs, sessions TO tidegate_replica;
 COMMIT;

@@ -29,6 +29,9 @@ from engine.core.gate_state import HoldReason, Lease
 SCHEMA = "tidegate.beam/1"
 GOOD_FOR_NS = 250 * NS_PER_MS
 """A reading of on becomes unknown after this time without a newer one: no lease and no settling lasts longer."""
+HEARTBEAT_NS = NS_PER_S
+CLOSE_S = 1.0
+USER_AGENT = "tidegate"
 
 
 class BeamState(enum.StrEnum):
@@ -74,11 +77,6 @@ class LineStatus:
             "reason": None if self.reason is None else str(self.reason),
             "trouble": self.trouble,
         }
-
-
-HEARTBEAT_NS = NS_PER_S
-CLOSE_S = 1.0
-USER_AGENT = "tidegate"
 
 
 class Sender(Protocol):

@@ -18,6 +18,10 @@ from engine.beam.wire.serial_settings import PARITY_LETTERS, Parity, check_baud
 from engine.core.bounds import check_whole_number
 from engine.core.errors import BeamLineError, InvalidValueError
 
+READ_INPUTS, WRITE_COIL, WRITE_REGISTER = 2, 5, 6
+"""Function codes: an answer has to have its question's."""
+BITS_OF_ONE_INPUT = 8
+"""An answer to a question for one input is one byte."""
 CONNECT_S = 0.5
 LOOK_S = 0.15
 
@@ -100,23 +104,21 @@ class ModbusWire:
 
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
         """Write coils and register and read the inputs: three to five requests within ``within_s``."""
-        at, unit = self._registers, self._registers.unit
+        at = self._registers
         until_s = time.monotonic() + within_s
         try:
             self._allow(until_s)
             self._write_coil(at.permit_coil, "the permit", is_set=is_on)
             self._allow(until_s)
-            _good(self._client.write_register(at.heartbeat_register, heartbeat, device_id=unit), "the heartbeat")
+            self._write_heartbeat(heartbeat)
             self._allow(until_s)
-            read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
-            reads_on = _bit(read)
+            reads_on = self._read_input(at.readback_input, "the read back")
             if at.expected_coil is not None:
                 self._allow(until_s)
                 self._write_coil(at.expected_coil, "that a gate is expected", is_set=True)
             if at.beam_on_input is not None:
                 self._allow(until_s)
-                beam_on = self._client.read_discrete_inputs(at.beam_on_input, count=1, device_id=unit)
-                self._beam_on = _bit(_good(beam_on, "the beam-on signal"))
+                self._beam_on = self._read_input(at.beam_on_input, "the beam-on signal")
         except ModbusException as error:
             raise BeamLineError(str(error)) from error
         return reads_on
@@ -124,12 +126,10 @@ class ModbusWire:
     def look(self, within_s: float) -> bool:
         """Read the input within ``within_s`` and write nothing; raise BeamLineError where no answer comes."""
         self._allow(time.monotonic() + within_s)
-        at = self._registers
         try:
-            answer = self._client.read_discrete_inputs(at.readback_input, count=1, device_id=at.unit)
+            return self._read_input(self._registers.readback_input, "the read back")
         except ModbusException as error:
             raise BeamLineError(str(error)) from error
-        return _bit(_good(answer, "the read back"))
 
     def close(self) -> None:
         """Disconnect; no gate is expected any more."""
@@ -142,10 +142,39 @@ class ModbusWire:
         self._client.close()  # type: ignore[no-untyped-call]
 
     def _write_coil(self, address: int, what: str, *, is_set: bool) -> None:
-        written = _good(self._client.write_coil(address, is_set, device_id=self._registers.unit), what)
+        answer = self._client.write_coil(address, is_set, device_id=self._registers.unit)
+        written = self._good(answer, WRITE_COIL, what)
         if written.address != address or written.bits[:1] != [is_set]:
-            msg = f"it confirms something different than was written: {what}"
+            raise _different(what)
+
+    def _write_heartbeat(self, value: int) -> None:
+        address, what = self._registers.heartbeat_register, "the heartbeat"
+        answer = self._client.write_register(address, value, device_id=self._registers.unit)
+        written = self._good(answer, WRITE_REGISTER, what)
+        if written.address != address or written.registers != [value]:
+            raise _different(what)
+
+    def _read_input(self, address: int, what: str) -> bool:
+        answer = self._client.read_discrete_inputs(address, count=1, device_id=self._registers.unit)
+        bits = self._good(answer, READ_INPUTS, what).bits
+        if len(bits) != BITS_OF_ONE_INPUT:
+            msg = f"an answer of {len(bits)} bits to a question for one: {what}"
             raise BeamLineError(msg)
+        return bits[0]
+
+    def _good(self, answer: ModbusPDU, function: int, what: str) -> ModbusPDU:
+        """Return an answer to this very request; raise BeamLineError for a refusal, and for another's answer."""
+        if answer.isError():
+            code = getattr(answer, "exception_code", "?")
+            msg = f"it refuses {what} (Modbus exception {code})"
+            raise BeamLineError(msg)
+        if answer.function_code != function or answer.dev_id != self._registers.unit:
+            msg = (
+                f"it answers function {answer.function_code} of device {answer.dev_id}, asked for was function "
+                f"{function} of device {self._registers.unit}: {what}"
+            )
+            raise BeamLineError(msg)
+        return answer
 
     def _allow(self, until_s: float) -> None:
         """Limit the next request to the remaining time.
@@ -218,16 +247,5 @@ def _silence_library() -> None:
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
-def _bit(answer: ModbusPDU) -> bool:
-    if not answer.bits:
-        msg = "an empty answer"
-        raise BeamLineError(msg)
-    return answer.bits[0]
-
-
-def _good(answer: ModbusPDU, request: str) -> ModbusPDU:
-    if answer.isError():
-        code = getattr(answer, "exception_code", "?")
-        msg = f"it refuses {request} (Modbus exception {code})"
-        raise BeamLineError(msg)
-    return answer
+def _different(what: str) -> BeamLineError:
+    return BeamLineError(f"it confirms something different than was written: {what}")

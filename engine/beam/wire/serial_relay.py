@@ -123,21 +123,28 @@ RELAY_PROTOCOLS: dict[Protocol, RelayProtocol] = {
 }
 
 
-def check_channels(protocol: Protocol, channel: int, heartbeat_channel: int | None) -> None:
+def check_channels(
+    protocol: Protocol, channel: int, heartbeat_channel: int | None, expected_channel: int | None = None
+) -> None:
     """Raise InvalidValueError for a relay that such a board lacks, or one used for two purposes."""
     low, high = RELAY_PROTOCOLS[protocol].channels
-    for name, number in (("channel", channel), ("heartbeat_channel", heartbeat_channel)):
-        if number is not None:
-            check_whole_number(name, number, low, high, f"for {protocol}")
-    if heartbeat_channel == channel:
-        raise InvalidValueError("heartbeat_channel", heartbeat_channel, f"another than channel {channel}")
+    taken: dict[int, str] = {}
+    numbers = {"channel": channel, "heartbeat_channel": heartbeat_channel, "expected_channel": expected_channel}
+    for name, number in numbers.items():
+        if number is None:
+            continue
+        check_whole_number(name, number, low, high, f"for {protocol}")
+        if number in taken:
+            raise InvalidValueError(name, number, f"another than {taken[number]} {number}")
+        taken[number] = name
 
 
 class RelayWire:
     """`Wire` to a relay board.
 
     ``contact`` is a modem line wired to the relay's second contact. The command counts as followed only if board and
-    contact both agree with it.
+    contact both agree with it. ``expected_channel`` is on while the line is in use, off once it is closed: a gate is
+    expected.
     """
 
     def __init__(
@@ -149,12 +156,14 @@ class RelayWire:
         channel: int,
         contact: Contact = "none",
         heartbeat_channel: int | None = None,
+        expected_channel: int | None = None,
     ) -> None:
-        check_channels(protocol, channel, heartbeat_channel)
+        check_channels(protocol, channel, heartbeat_channel, expected_channel)
         check_baud(baud)
         self._protocol = RELAY_PROTOCOLS[protocol]
         self._device, self._baud = device, baud
         self._channel, self._heartbeat_channel, self._contact = channel, heartbeat_channel, contact
+        self._expected_channel = expected_channel
         self._port: serial.Serial | None = None
 
     @property
@@ -193,6 +202,8 @@ class RelayWire:
         if is_on:
             self._refuse_surplus(port)  # off is commanded in any case
         port.write(self._protocol.command(self._channel, is_on))
+        if self._expected_channel is not None:
+            port.write(self._protocol.command(self._expected_channel, True))  # noqa: FBT003 - the protocol's callable
         if self._heartbeat_channel is not None:
             port.write(self._protocol.command(self._heartbeat_channel, heartbeat % 2 == 1))
         self._refuse_surplus(port)
@@ -211,10 +222,14 @@ class RelayWire:
         return self._is_closed(self._port)
 
     def close(self) -> None:
-        """Close the port."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        """Close the port; no gate is expected any more."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        if self._expected_channel is not None:
+            with contextlib.suppress(Exception):
+                port.write(self._protocol.command(self._expected_channel, False))  # noqa: FBT003 - as above
+        port.close()
 
     def _request_state(self, port: serial.Serial) -> None:
         """Request the state; where no answer comes, command off and raise BeamLineError."""

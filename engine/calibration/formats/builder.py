@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from engine.calibration.camera_calibration import SCHEMA, Calibration, calibration_of
+from engine.calibration.camera_calibration import MAX_BASELINE_MM, MIN_BASELINE_MM, SCHEMA, Calibration, calibration_of
 from engine.core.errors import CalibrationError
 from engine.core.frames import FloatArray
 
@@ -14,9 +14,8 @@ LengthUnit = Literal["mm", "m"]
 ROLES: tuple[Role, Role] = ("depth", "color")
 LENGTH_UNITS: tuple[LengthUnit, LengthUnit] = ("mm", "m")
 MM_PER_M = 1000.0
-# Two cameras in one housing are 5 to 200 mm apart; the same digits in metres are 0.005 to 0.2. The two do not meet, so
-# the size determines the unit; for sizes between or beyond (centimetres, squares of the board) it must be given.
-SHORTEST_BASELINE_MM, LONGEST_BASELINE_MM = 5.0, 200.0
+# Lengths in mm and in m do not meet, so the size determines the unit; for sizes between or beyond (centimetres, squares
+# of the board) it must be given.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +81,8 @@ class Draft:
             self.document["depth_to_color"] = options.depth_to_color
             return
         baseline_mm = options.baseline_mm
-        if baseline_mm is None or not abs(baseline_mm) <= LONGEST_BASELINE_MM:
-            bound = f"a number from {-LONGEST_BASELINE_MM:g} to {LONGEST_BASELINE_MM:g}"
+        if baseline_mm is None or not abs(baseline_mm) <= MAX_BASELINE_MM:
+            bound = f"a number from {-MAX_BASELINE_MM:g} to {MAX_BASELINE_MM:g}"
             raise CalibrationError("baseline_mm", baseline_mm, bound)
         names = ("baseline_mm", "baseline_mm")
         self.put_pose(np.eye(3), np.array([baseline_mm, 0.0, 0.0]), names=names)
@@ -104,14 +103,14 @@ class Draft:
 def length_in_mm(name: str, values: FloatArray, unit: LengthUnit | None, notes: list[str]) -> FloatArray:
     """Read a translation, shape (3,), in mm whatever its unit; refuse what could be either."""
     length = float(np.linalg.norm(values))
-    if unit is None and SHORTEST_BASELINE_MM <= length <= LONGEST_BASELINE_MM:
+    if unit is None and MIN_BASELINE_MM <= length <= MAX_BASELINE_MM:
         unit = "mm"
-    elif unit is None and SHORTEST_BASELINE_MM <= length * MM_PER_M <= LONGEST_BASELINE_MM:
+    elif unit is None and MIN_BASELINE_MM <= length * MM_PER_M <= MAX_BASELINE_MM:
         unit = "m"
         notes.append(f"{name} is {length:g} long: taken as metres")
     if unit is None:
         bound = (
-            f"{SHORTEST_BASELINE_MM:g} to {LONGEST_BASELINE_MM:g} mm long, in mm or in m; "
+            f"{MIN_BASELINE_MM:g} to {MAX_BASELINE_MM:g} mm long, in mm or in m; "
             "say translation_unit (mm or m) if it is right"
         )
         raise CalibrationError(name, f"{length:g} long", bound)

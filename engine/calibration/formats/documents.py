@@ -26,6 +26,12 @@ _YAML_LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 # OpenCV before 5 wrote a line that YAML 1.1 does not know; none of the directives matters here.
 _YAML_HEAD = re.compile(r"\A%YAML[^\n]*\n")
 _MATRIX_TEXT = "data"
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
+_MAX_DIGITS = 60
+_LARGEST = 1e9
+_MATRIX_KEYS = {"rows", "cols", "dt", "data", "type_id"}
+# OpenCV's letters for numbers of one channel.
+_MATRIX_TYPES = {"d", "f", "i", "s", "w", "c", "u", "1d", "1f"}
 
 
 def read_documents(text: bytes) -> list[Tree]:
@@ -174,14 +180,6 @@ def _xml_text(name: str, text: str) -> Tree:
         return text.strip('"')
     parts: list[Tree] = list(text.split())
     return parts if len(parts) > 1 or name == _MATRIX_TEXT else text
-
-
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
-_MAX_DIGITS = 60
-_LARGEST = 1e9
-_MATRIX_KEYS = {"rows", "cols", "dt", "data", "type_id"}
-# OpenCV's letters for numbers of one channel.
-_MATRIX_TYPES = {"d", "f", "i", "s", "w", "c", "u", "1d", "1f"}
 
 
 def number(field: str, value: Tree) -> float:

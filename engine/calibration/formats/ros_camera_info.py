@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.calibration.camera_calibration import MAX_BASELINE_MM, MIN_BASELINE_MM
 from engine.calibration.formats import documents
 from engine.calibration.formats.builder import (
-    LONGEST_BASELINE_MM,
     MM_PER_M,
     ROLES,
-    SHORTEST_BASELINE_MM,
     Draft,
     ImportOptions,
     Role,
@@ -197,8 +196,8 @@ def _put_pose(draft: Draft, depth: _Info, color: _Info, options: ImportOptions) 
     # Both cameras turned into one common frame, there only shifted.
     shift_mm = (offsets_m[color.label] - offsets_m[depth.label]) * MM_PER_M
     length_mm = float(np.linalg.norm(shift_mm))
-    if not SHORTEST_BASELINE_MM <= length_mm <= LONGEST_BASELINE_MM:
-        bound = f"a baseline of {SHORTEST_BASELINE_MM:g} to {LONGEST_BASELINE_MM:g} mm (P is in metres)"
+    if not MIN_BASELINE_MM <= length_mm <= MAX_BASELINE_MM:
+        bound = f"a baseline of {MIN_BASELINE_MM:g} to {MAX_BASELINE_MM:g} mm (P is in metres)"
         raise CalibrationError(name, f"{length_mm:g} mm", bound)
     back = turns[color.label].T
     draft.put_pose(back @ turns[depth.label], back @ shift_mm, names=(color.their("R"), name))

@@ -26,6 +26,11 @@ _STRETCH_PERCENT = (0.5, 99.5)
 _WINDOW_SHARE = 0.4
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 2, 15
 Gray = npt.NDArray[np.uint8]
+COLUMNS, ROWS = 8, 6
+_ACROSS, _DOWN = ("left", "middle", "right"), ("upper", "central", "lower")
+EMPTY_SHARE = 0.5
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
+MOST_PICTURES = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,11 +113,6 @@ def _stretched(picture: npt.NDArray[np.generic]) -> Gray:
     return np.asarray(np.clip((levels - low) * (255.0 / (high - low)), 0.0, 255.0), dtype=np.uint8)
 
 
-COLUMNS, ROWS = 8, 6
-_ACROSS, _DOWN = ("left", "middle", "right"), ("upper", "central", "lower")
-EMPTY_SHARE = 0.5
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coverage:
     """Cells of the picture, shape (6, 8): whether a corner ever was in them."""
@@ -142,10 +142,6 @@ def find_coverage(corners_px: FloatArray, size_px: tuple[int, int]) -> Coverage:
         flat[:, 1], flat[:, 0], bins=(ROWS, COLUMNS), range=((0.0, size_px[1]), (0.0, size_px[0]))
     )
     return Coverage(cells=counts > 0)
-
-
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
-MOST_PICTURES = 200
 
 
 def list_pictures(field: str, where: str) -> list[Path]:

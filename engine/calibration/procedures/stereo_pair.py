@@ -16,12 +16,19 @@ from engine.core.errors import CalibrationError
 from engine.core.frames import BoolArray, FloatArray
 from engine.core.geometry import Intrinsics, RigidTransform
 
-# One camera from many pictures of a board: Zhang's method, as OpenCV does it, with k1 k2 p1 p2.
-
 # k3 is left out: boards rarely reach where it would show, and where none was it bends the picture's rim.
 _FLAGS = cv2.CALIB_FIX_K3
+FEWEST_PAIRS = 6
+LEAST_TURN_DEG = 15.0
+LARGEST_FOCAL_SIGMA = 0.005
+LARGEST_ANGLE_DEG = 45.0
+# A picture is an outlier when its error is this many robust standard deviations above the median, half as much again
+# as the median, and more than corners are ever off by.
+_OUTLIER_SIGMAS, _OUTLIER_RATIO, _OUTLIER_PX = 4.0, 1.5, 0.2
+_SIGMA_OF_MAD = 1.4826
 
 
+# One camera from many pictures of a board: Zhang's method, as OpenCV does it, with k1 k2 p1 p2.
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFit:
     """One camera as fitted.
@@ -101,16 +108,6 @@ def pose_of(turn: npt.ArrayLike, shift_mm: npt.ArrayLike) -> RigidTransform:
 def rms_length(vectors: FloatArray) -> FloatArray:
     """Root mean square length of vectors (..., n, 2), over n."""
     return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1).mean(axis=-1)))
-
-
-FEWEST_PAIRS = 6
-LEAST_TURN_DEG = 15.0
-LARGEST_FOCAL_SIGMA = 0.005
-LARGEST_ANGLE_DEG = 45.0
-# A picture is an outlier when its error is this many robust standard deviations above the median, half as much again
-# as the median, and more than corners are ever off by.
-_OUTLIER_SIGMAS, _OUTLIER_RATIO, _OUTLIER_PX = 4.0, 1.5, 0.2
-_SIGMA_OF_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -27,6 +27,8 @@ class ProcessDriver:
         See :class:`engine.capture.source.CameraDriver`.
     warm_up_s
         How long readings of its cameras drift after their start [s].
+    most_noise_mm
+        Noise of a training from which a camera of this kind is not as it should be.
     package
         The SDK's package, which `module` alone imports, in the camera's process.
     """
@@ -37,6 +39,7 @@ class ProcessDriver:
     package: str
     module: str
     warm_up_s: float
+    most_noise_mm: float
     is_player: bool = False
 
     def is_installed(self) -> bool:

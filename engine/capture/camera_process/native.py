@@ -24,6 +24,7 @@ FIRST_FRAME_S = 5.0
 """A camera without frames of both streams for this long is refused [s]."""
 SETTLE_S = 1.0
 """The exposure of depth is automatic for this long, then fixed [s]."""
+UNIT_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,6 +92,3 @@ def in_mm(depth: DepthImage, unit_mm: float) -> DepthImage:
         return depth
     whole_mm: DepthImage = np.minimum(np.rint(depth * unit_mm), np.iinfo(np.uint16).max).astype(np.uint16)
     return whole_mm
-
-
-UNIT_TOLERANCE = 1e-4

@@ -40,6 +40,8 @@ MAX_MESSAGE = 4096
 UNKNOWN_NS = -1
 READ_S, TEMPERATURE_S = 0.2, 5.0
 WAIT_S = 0.005
+CLOSING_S = 2.0
+"""Time for the SDK to stop its streams once the engine has closed the channel."""
 
 
 class SdkModule(Protocol):
@@ -152,10 +154,6 @@ def _end_with(channel: int) -> None:
     poll.register(channel, 0)  # closing alone, not data
     poll.poll()
     threading.Timer(CLOSING_S, os._exit, (1,)).start()
-
-
-CLOSING_S = 2.0
-"""Time for the SDK to stop its streams once the engine has closed the channel."""
 
 
 def _stream(channel: socket.socket, camera: NativeCamera) -> None:

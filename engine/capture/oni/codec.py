@@ -35,6 +35,21 @@ _Indices = npt.NDArray[np.intp]
 
 MAX_RANKS = 0x8000
 _PAIRS_A_RUN = 15
+_Words = npt.NDArray[np.uint16]
+_Ranks = npt.NDArray[np.unsignedinteger]
+_Bools = npt.NDArray[np.bool_]
+_LONGEST_STEP = 64
+_CODES = np.arange(256)
+_LOW, _HIGH = _CODES & 15, _CODES >> 4
+_IS_STEPS = _CODES < 0xE0
+_HEAD = 0x80
+"""Marks, beside the count of pixels, the bytes that announce a long step."""
+_COUNT = np.where(_IS_STEPS, np.where(_LOW == 13, 1, 2), 2 * (_CODES - 0xE0))
+_COUNT[0xFF] = 1
+_SHAPE = (_COUNT + _HEAD * ((_CODES == 0xFF) | (_IS_STEPS & (_LOW == 15)))).astype(np.uint8)
+# Steps are stored higher by the longest, so that none is negative.
+_FIRST = (_LONGEST_STEP + np.where(_IS_STEPS, 6 - _HIGH, 0)).astype(np.uint8)
+_SECOND = (_LONGEST_STEP + np.where(_IS_STEPS & (_LOW != 13) & (_LOW != 15), 6 - _LOW, 0)).astype(np.uint8)
 
 
 def encode_16zt(depth_mm: DepthImage) -> bytes:
@@ -159,25 +174,6 @@ def _jpeg_size(payload: bytes | memoryview) -> tuple[int, int] | None:
             return int.from_bytes(payload[at + 5 : at + 7], "big"), int.from_bytes(payload[at + 7 : at + 9], "big")
         at += 2 + length
     return None
-
-
-_Words = npt.NDArray[np.uint16]
-_Ranks = npt.NDArray[np.unsignedinteger]
-_Bools = npt.NDArray[np.bool_]
-
-
-_LONGEST_STEP = 64
-_CODES = np.arange(256)
-_LOW, _HIGH = _CODES & 15, _CODES >> 4
-_IS_STEPS = _CODES < 0xE0
-_HEAD = 0x80
-"""Marks, beside the count of pixels, the bytes that announce a long step."""
-_COUNT = np.where(_IS_STEPS, np.where(_LOW == 13, 1, 2), 2 * (_CODES - 0xE0))
-_COUNT[0xFF] = 1
-_SHAPE = (_COUNT + _HEAD * ((_CODES == 0xFF) | (_IS_STEPS & (_LOW == 15)))).astype(np.uint8)
-# Steps are stored higher by the longest, so that none is negative.
-_FIRST = (_LONGEST_STEP + np.where(_IS_STEPS, 6 - _HIGH, 0)).astype(np.uint8)
-_SECOND = (_LONGEST_STEP + np.where(_IS_STEPS & (_LOW != 13) & (_LOW != 15), 6 - _LOW, 0)).astype(np.uint8)
 
 
 def decode_16zt(payload: bytes | memoryview, shape: tuple[int, int]) -> DepthImage:

@@ -8,6 +8,7 @@ Content of an ``.oni`` file, as returned by :func:`engine.capture.oni.reader.des
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +21,12 @@ from engine.core.errors import RecordingError
 from engine.core.files import open_plain
 
 _MAX_LISTED_GAPS = 100
+START_FRAMES = 40
+"""Depth frames at the beginning of a recording whose times are looked at in a list."""
+LEAST_FPS, MOST_FPS = 1.0, 240.0
+"""Rates that a depth camera may have [1/s]: times in milliseconds give 30,000."""
+_US_PER_S = 1_000_000
+_MAX_TIMESTAMP_US = 2**62
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,12 +64,28 @@ class StreamSummary:
     last_timestamp_us: int | None
     coded_bytes: int
     has_shift_table: bool
+    is_mirrored: bool
+    times_back: int
     gaps: tuple[Gap, ...]
+
+    @property
+    def impossible_times(self) -> str | None:
+        """Why the times of the stream cannot be those of a camera; None where they can."""
+        if self.times_back:
+            return f"{self.times_back} times go back or stand still"
+        if self.measured_fps is None or not LEAST_FPS <= self.measured_fps <= MOST_FPS:
+            rate = "none" if self.measured_fps is None else f"{self.measured_fps:.4g}"
+            return None if self.frames < 2 else f"{rate} frames/s by its times, {LEAST_FPS:g} to {MOST_FPS:g} can be"
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingDescription:
-    """Content of a recording, as far as it is readable; ``damage`` is what ends it, None if it is intact."""
+    """Content of a recording, as far as it is readable.
+
+    ``damage`` is what ends it, None if it is intact; ``impossible_times`` is why its times are no camera's, None if
+    they may be.
+    """
 
     name: str
     file_bytes: int
@@ -72,6 +95,12 @@ class RecordingDescription:
     color: StreamSummary | None
     is_checked: bool
     damage: str | None
+    impossible_times: str | None
+
+    @property
+    def mirrored(self) -> str | None:
+        """Name the streams whose pictures are stored mirrored; None where none is."""
+        return mirrored_streams(self.depth, self.color)
 
     @property
     def depth_frames(self) -> int:
@@ -88,6 +117,14 @@ class RecordingDescription:
         return asdict(self)
 
 
+def mirrored_streams(
+    depth: StreamDescription | StreamSummary, color: StreamDescription | StreamSummary | None
+) -> str | None:
+    """Name the streams whose pictures are stored mirrored; None where none is."""
+    streams = {"depth": depth, "colour": color}
+    return " and ".join(name for name, one in streams.items() if one is not None and one.is_mirrored) or None
+
+
 @dataclass(slots=True)
 class Tally:
     """Counts one stream's frames."""
@@ -95,6 +132,7 @@ class Tally:
     frames: int = 0
     missed_frames: int = 0
     coded_bytes: int = 0
+    times_back: int = 0
     first_us: int | None = None
     last_us: int | None = None
     last_id: int = 0
@@ -112,6 +150,7 @@ class Tally:
                         missed_frames=frame.missed_frames,
                     )
                 )
+        self.times_back += self.last_us is not None and frame.timestamp_us <= self.last_us
         self.frames += 1
         self.coded_bytes += frame.coded_bytes
         self.first_us = frame.timestamp_us if self.first_us is None else self.first_us
@@ -134,12 +173,10 @@ class Tally:
             last_timestamp_us=self.last_us,
             coded_bytes=self.coded_bytes,
             has_shift_table=stream.has_shift_table,
+            is_mirrored=stream.is_mirrored,
+            times_back=self.times_back,
             gaps=tuple(self.gaps),
         )
-
-
-_US_PER_S = 1_000_000
-_MAX_TIMESTAMP_US = 2**62
 
 
 class OniReader:
@@ -184,6 +221,23 @@ class OniReader:
     def color(self) -> StreamDescription | None:
         """The colour stream."""
         return self._nodes.color
+
+    @property
+    def mirrored(self) -> str | None:
+        """Name the streams whose pictures are stored mirrored; None where none is."""
+        return mirrored_streams(self.depth, self.color)
+
+    def impossible_start(self) -> str | None:
+        """Return why the times of the first frames cannot be a camera's; None where they can, or cannot be read."""
+        tally = Tally()
+        with suppress(RecordingError):
+            for frame in self.frames(with_payload=False):
+                if frame.is_depth:
+                    tally.add(frame)
+                if tally.frames >= START_FRAMES:
+                    break
+        found = tally.summary(self.depth).impossible_times
+        return None if found is None else f"its times are impossible: {found}"
 
     def frames(self, *, with_payload: bool = True) -> Iterator[CodedFrame]:
         """Yield the frames of the depth and the colour stream in the file's order, from the first.
@@ -352,15 +406,23 @@ def describe(
         if damage is None and depth.frames == 0:
             damage = f"{reader.name}: the recording holds no depth frame"
         times_us = [t for tally in (depth, color) for t in (tally.first_us, tally.last_us) if t is not None]
+        summaries = {
+            "depth": depth.summary(reader.depth),
+            "colour": None if reader.color is None else color.summary(reader.color),
+        }
+        impossible = [
+            f"{kind}: {one.impossible_times}" for kind, one in summaries.items() if one and one.impossible_times
+        ]
         return RecordingDescription(
             name=reader.name,
             file_bytes=file_bytes,
             version=".".join(map(str, reader.header.version)),
             duration_s=(max(times_us) - min(times_us)) / 1e6 if times_us else 0.0,
             depth=depth.summary(reader.depth),
-            color=None if reader.color is None else color.summary(reader.color),
+            color=summaries["colour"],
             is_checked=is_checked,
             damage=damage,
+            impossible_times="; ".join(impossible) or None,
         )
 
 

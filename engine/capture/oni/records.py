@@ -36,6 +36,19 @@ UNKNOWN_TIMESTAMP = 2**64 - 1
 
 DEPTH_NODE, COLOR_NODE = 1, 2
 CODEC_DEPTH, CODEC_JPEG, CODEC_NONE = "16zT", "JPEG", "NONE"
+MAX_FIELDS_BYTES = 1 << 20
+MAX_PAYLOAD_BYTES = 1 << 25
+_FOREIGN = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"%PDF", "a PDF document"),
+    (b"\x93NUMPY", "a numpy array"),
+    (b"SQLite format 3", "an SQLite database"),
+    (b"#ROSBAG", "a ROS bag"),
+)
 
 
 class RecordType(enum.IntEnum):
@@ -95,22 +108,6 @@ def pack_integers(node: int, **values: int) -> bytes:
 def pack_general(node: int, **values: bytes) -> bytes:
     """Write properties of a node that have a layout of their own, in the order given."""
     return b"".join(pack_property(RecordType.GENERAL_PROPERTY, node, name, value) for name, value in values.items())
-
-
-MAX_FIELDS_BYTES = 1 << 20
-MAX_PAYLOAD_BYTES = 1 << 25
-
-_FOREIGN = (
-    (b"version https://git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"PK\x03\x04", "a zip archive"),
-    (b"\x1f\x8b", "a gzip archive"),
-    (b"%PDF", "a PDF document"),
-    (b"\x93NUMPY", "a numpy array"),
-    (b"SQLite format 3", "an SQLite database"),
-    (b"#ROSBAG", "a ROS bag"),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

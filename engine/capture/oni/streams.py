@@ -34,6 +34,9 @@ class StreamDescription:
         Nominal rate [1/s].
     claimed_frames
         Highest frame number the file announces; None where it does not know.
+    is_mirrored
+        Whether its pictures are stored mirrored, as most drivers deliver them; decoding turns them round, so left is
+        left.
     """
 
     name: str
@@ -44,6 +47,7 @@ class StreamDescription:
     fps: int = _FALLBACK_FPS
     pixel_format: int = 0
     is_cropped: bool = False
+    is_mirrored: bool = False
     has_shift_table: bool = False
 
     @property
@@ -57,10 +61,16 @@ class StreamDescription:
             depth = codec.decode_16zt(payload, self.shape)
         else:
             depth = self._raw(payload, 2).view("<u2").astype(np.uint16).reshape(self.shape)
+        if self.is_mirrored:
+            depth = np.ascontiguousarray(depth[:, ::-1])
         return (depth + np.uint16(5)) // np.uint16(10) if self.pixel_format == _DEPTH_100_UM else depth
 
     def decode_color(self, payload: bytes) -> ColorImage:
         """Decode one colour picture to RGB; raise RecordingError if these bytes are none."""
+        picture = self._stored_color(payload)
+        return np.ascontiguousarray(picture[:, ::-1]) if self.is_mirrored else picture
+
+    def _stored_color(self, payload: bytes) -> ColorImage:
         if self.codec == records.CODEC_JPEG:
             return codec.decode_jpeg(payload, self.shape)
         if self.pixel_format == _GRAY8:
@@ -187,6 +197,8 @@ class NodeTable:
         number = int.from_bytes(value[:8], "little")
         if name == "oniPixelFormat":
             self._change(record, pixel_format=number)
+        elif name == "xnMirror":
+            self._change(record, is_mirrored=number != 0)
         elif name == "xnPixelFormat" and self._is(record, NodeType.IMAGE):
             self._change(record, pixel_format=_FROM_XN_FORMAT.get(number, number))
 

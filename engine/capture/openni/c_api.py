@@ -29,6 +29,24 @@ _lock = threading.Lock()
 _idle: list["_LastingThread"] = []
 _here = threading.local()
 T = TypeVar("T")
+APT_LINE = "apt-get install libopenni2-0"
+API_VERSION = 2002
+MAX_TEXT = 256
+STATUS_OK, STATUS_TIME_OUT = 0, 102
+SENSOR_COLOR, SENSOR_DEPTH = 2, 3
+PIXEL_DEPTH_1_MM, PIXEL_DEPTH_100_UM, PIXEL_RGB888 = 100, 101, 200
+STATE_EOF = 3
+DEVICE_SERIAL_NUMBER = 3
+DEVICE_IMAGE_REGISTRATION = 5
+DEVICE_PLAYBACK_SPEED = 100
+DEVICE_PLAYBACK_REPEAT = 101
+STREAM_HORIZONTAL_FOV, STREAM_VERTICAL_FOV = 1, 2
+STREAM_VIDEO_MODE = 3
+STREAM_MIRRORING = 7
+REGISTRATION_OFF, REGISTRATION_DEPTH_TO_COLOR = 0, 1
+Handle = ctypes.c_void_p
+_Int, _Out = ctypes.c_int, ctypes.POINTER
+_initialising = threading.Lock()
 
 
 def run_on_lasting_thread(work: Callable[[], None]) -> threading.Event:
@@ -75,27 +93,6 @@ class _LastingThread:
             done.set()
             with _lock:
                 _idle.append(self)
-
-
-APT_LINE = "apt-get install libopenni2-0"
-API_VERSION = 2002
-MAX_TEXT = 256
-
-STATUS_OK, STATUS_TIME_OUT = 0, 102
-SENSOR_COLOR, SENSOR_DEPTH = 2, 3
-PIXEL_DEPTH_1_MM, PIXEL_DEPTH_100_UM, PIXEL_RGB888 = 100, 101, 200
-STATE_EOF = 3
-
-DEVICE_SERIAL_NUMBER = 3
-DEVICE_IMAGE_REGISTRATION = 5
-DEVICE_PLAYBACK_SPEED = 100
-DEVICE_PLAYBACK_REPEAT = 101
-STREAM_HORIZONTAL_FOV, STREAM_VERTICAL_FOV = 1, 2
-STREAM_VIDEO_MODE = 3
-STREAM_MIRRORING = 7
-REGISTRATION_OFF, REGISTRATION_DEPTH_TO_COLOR = 0, 1
-
-Handle = ctypes.c_void_p
 
 
 class VideoMode(ctypes.Structure):
@@ -160,7 +157,6 @@ class DeviceCallbacks(ctypes.Structure):
     _fields_ = (("connected", DeviceCallback), ("disconnected", DeviceCallback), ("state_changed", StateCallback))
 
 
-_Int, _Out = ctypes.c_int, ctypes.POINTER
 _SIGNATURES: dict[str, tuple[object, Sequence[object]]] = {
     "oniInitialize": (_Int, (_Int,)),
     "oniGetExtendedError": (ctypes.c_char_p, ()),
@@ -193,8 +189,6 @@ _SIGNATURES: dict[str, tuple[object, Sequence[object]]] = {
     "oniRecorderDestroy": (_Int, (_Out(Handle),)),
     "oniSetLogConsoleOutput": (_Int, (_Int,)),
 }
-
-_initialising = threading.Lock()
 
 
 def library_path() -> str | None:

@@ -32,6 +32,9 @@ LATEST_US = 2**53
 """Nearly three centuries: no camera has run for longer, and a database keeps no larger time exactly."""
 
 _BYTES_A_PIXEL = (2, 3)
+_KIND = ("depth", "colour")
+_REST_S = 0.1
+_STATE_WORDS = {1: "reports an error", 2: "is not ready"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,11 +74,6 @@ def copied(stream: int, frame: c.Frame, size_px: tuple[int, int]) -> DeviceFrame
     return DeviceFrame(
         stream=stream, frame_index=frame.frame_index, timestamp_us=int(frame.timestamp_us), picture=picture
     )
-
-
-_KIND = ("depth", "colour")
-_REST_S = 0.1
-_STATE_WORDS = {1: "reports an error", 2: "is not ready"}
 
 
 class OpenNiDevice:

@@ -27,6 +27,8 @@ class OpenNiDriver:
     is_player = True
     # AAPM TG-147 for cameras of structured light.
     warm_up_s = 900.0
+    # Virtual sensors within what two real ones differ by have 5 to 7.
+    most_noise_mm = 12.0
     install_hint = "apt-get install libopenni2-0"
 
     def is_installed(self) -> bool:

@@ -15,6 +15,8 @@ from ctypes import byref
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
+
 from engine.capture.oni.reader import describe, missed_between
 from engine.capture.oni.records import RecordType, count_records
 from engine.capture.openni import c_api as c
@@ -106,6 +108,7 @@ class OpenNiSource:
         self._fps = fps
         self._use_registration = use_device_registration
         self._record_to = record_to
+        self._is_mirrored = (False, False)
         self._device: OpenNiDevice | None = None
         self._recorder: c.Handle | None = None
         self._pump: CapturePump | None = None
@@ -129,7 +132,10 @@ class OpenNiSource:
         self.close()
         c.runtime()
         if self._path is not None:
-            describe(self._path).raise_damage()
+            stored = describe(self._path)
+            stored.raise_damage()
+            color = stored.color
+            self._is_mirrored = (stored.depth.is_mirrored, color is not None and color.is_mirrored)
         self._device = OpenNiDevice(
             self._uri if self._uri is not None else _first_uri(), is_file=self._path is not None
         )
@@ -184,8 +190,8 @@ class OpenNiSource:
             color_timestamp_us=color.frame.timestamp_us,
             received_ns=depth.received_ns,
             queue_empty_ns=depth.queue_empty_ns,
-            depth_mm=cast("DepthImage", depth.frame.picture),
-            color=cast("ColorImage", color.frame.picture),
+            depth_mm=cast("DepthImage", _turned(depth.frame.picture, is_mirrored=self._is_mirrored[DEPTH])),
+            color=cast("ColorImage", _turned(color.frame.picture, is_mirrored=self._is_mirrored[COLOR])),
         )
         self._index += 1
         return frame
@@ -245,3 +251,8 @@ def _file_of(uri: str | Path | None) -> Path | None:
     if uri is None or (isinstance(uri, str) and not uri.endswith(".oni") and not Path(uri).is_file()):
         return None
     return Path(uri)
+
+
+def _turned(picture: DepthImage | ColorImage, *, is_mirrored: bool) -> DepthImage | ColorImage:
+    """Return a picture of a file as the camera saw it: a live camera's mirroring is switched off."""
+    return cast("DepthImage | ColorImage", np.ascontiguousarray(picture[:, ::-1])) if is_mirrored else picture

@@ -11,4 +11,6 @@ ORBBEC = ProcessDriver(
     module="engine.capture.orbbec.camera",
     # 40 to 50 minutes were measured on the sensor that Femto cameras have (PMC7827245).
     warm_up_s=2700.0,
+    # A virtual one from published figures has 2.
+    most_noise_mm=8.0,
 )

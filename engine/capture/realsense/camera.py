@@ -35,6 +35,15 @@ QUEUED, QUEUED_OF_FILE = 32, 128
 MM_PER_M = 1000.0
 COLOR_AXES = 3
 DEPTH_UNIT_M = 0.001
+FORMATS = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8, rs.stream.infrared: rs.format.y8}
+WANTED = (
+    (rs.option.global_time_enabled, 0.0),
+    (rs.option.depth_units, DEPTH_UNIT_M),
+    (rs.option.emitter_enabled, 1.0),
+    (rs.option.enable_auto_exposure, 1.0),
+    (rs.option.auto_exposure_priority, 0.0),
+)
+"""Options before the start: the device's own time, depth in mm, the projector on, no frame longer than its period."""
 
 
 def list_cameras() -> list[ListedCamera]:
@@ -68,9 +77,6 @@ def factory_calibration(serial: str) -> FactoryCalibration:
             translation_mm=MM_PER_M * np.array(pose.translation, dtype=float),
         ),
     )
-
-
-FORMATS = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8, rs.stream.infrared: rs.format.y8}
 
 
 def _streams(serial: str) -> tuple[rs.stream, rs.stream]:
@@ -297,16 +303,6 @@ def _profile(device: rs.device, kind: rs.stream, *, is_any: bool = False) -> rs.
             return video
     size = f"{SIZE_PX[0]} x {SIZE_PX[1]}"
     raise SourceLostError(f"the camera has no {kind.name} of {size} at {FPS} frames/s: is it on a USB 3 port?")
-
-
-WANTED = (
-    (rs.option.global_time_enabled, 0.0),
-    (rs.option.depth_units, DEPTH_UNIT_M),
-    (rs.option.emitter_enabled, 1.0),
-    (rs.option.enable_auto_exposure, 1.0),
-    (rs.option.auto_exposure_priority, 0.0),
-)
-"""Options before the start: the device's own time, depth in mm, the projector on, no frame longer than its period."""
 
 
 def _set_up(sensor: rs.sensor, kind: rs.stream, options: CameraOptions) -> None:

@@ -1,8 +1,9 @@
 """Which checks of the measurement could work: one that cannot finds nothing, so the beam does not rest on it.
 
 The second estimate compares the surface, its colour and the scene with the reference (:mod:`engine.motion.cross_check`)
-and says of each frame what it could compare. A check that worked once holds the beam while it does not; one that has
-not worked since the reference holds it where the site needs all of them.
+and says of each frame what it could compare; the markers are compared beside it (`PatientShift`). A check that worked
+once holds the beam while it does not; one that has not worked since the reference holds it where the site needs all of
+them. The age of the pictures is under the same rule (:mod:`engine.gating.delivery`).
 """
 
 import enum
@@ -13,10 +14,8 @@ from engine.core.frames import Evidence, Measurement
 from engine.core.gate_state import HoldReason
 from engine.core.sentences import say
 from engine.gating.gate import Interruption
-from engine.gating.limits import GateLimits
+from engine.gating.limits import MAX_UNCHECKED_US, GateLimits
 
-MAX_UNCHECKED_US = 500_000
-"""A check that cannot work for longer holds the beam; a hand of the staff passes by in less."""
 NOTHING = Evidence(surface=False, color=False, camera=False, colored_share=0.0)
 
 
@@ -26,12 +25,14 @@ class Check(enum.StrEnum):
     SURFACE = "surface"
     COLOR = "color"
     CAMERA = "camera"
+    MARKERS = "markers"
 
 
 SEES_TOO_LITTLE = {
     Check.SURFACE: say("too little of the region's surface is seen"),
     Check.COLOR: say("too little of the region has a colour: it is too dark"),
     Check.CAMERA: say("too little of couch and floor is seen"),
+    Check.MARKERS: say("the markers' positions are not compared"),
 }
 
 
@@ -71,15 +72,23 @@ class Checks:
         """Forget which checks have worked: the reference was set."""
         self.states = ()
 
-    def check(self, measurement: Measurement, *, has_reference: bool) -> Interruption | None:
-        """Return the hold for a check that cannot work; a frame that was not measured holds by itself."""
+    def check(self, measurement: Measurement, *, has_reference: bool, has_markers: bool) -> Interruption | None:
+        """Return the hold for a check that cannot work; a frame that was not measured holds by itself.
+
+        ``has_markers``: the markers' positions of this frame were compared with those at the reference.
+        """
         if not has_reference:
             self.reset()
             return None
         if measurement.motion is None:
             return None
         evidence, now_us = measurement.evidence or NOTHING, measurement.timestamp_us
-        works = {Check.SURFACE: evidence.surface, Check.COLOR: evidence.color, Check.CAMERA: evidence.camera}
+        works = {
+            Check.SURFACE: evidence.surface,
+            Check.COLOR: evidence.color,
+            Check.CAMERA: evidence.camera,
+            Check.MARKERS: has_markers,
+        }
         before = {state.check: state for state in self.states}
         self.states = tuple(_followed(before.get(check), check, now_us, is_on=works[check]) for check in Check)
         return next(filter(None, (self._hold(state, now_us) for state in self.states)), None)

@@ -25,20 +25,28 @@ from engine.gating.supervision.checks import Checks, CheckState
 from engine.gating.supervision.patient_shift import NODES, Movement, PatientShift
 from engine.gating.windows import GateWindow
 
+REDISTRIBUTED_SHARE = 0.3
+"""Allowed shift between thorax and abdomen, root mean square, as a share of the bound of the level: one half of the
+region that rises evenly by h mm is a shift of about 0.6 h."""
+KEPT_US = 135_000_000
+"""An end of exhale is known when the next inhale has begun: after the longest breath and the longest breath hold that a
+site may allow, of 120 s."""
+
+
+NOT_JUDGED = say("the shape of the chest at the end of exhale cannot be compared: the breath pauses for too long")
+NS_PER_MIN = 60 * NS_PER_S
+MAX_OLD_MS = 100.0
+"""Limit of the total time of repeated pictures, since the session or the last such fault (AAPM TG-142: 100 ms)."""
+MAX_OLD_IN_PART_MS = 50.0
+"""The same where pictures are old in part: their parts are of two moments, so that no motion between them is right."""
+
+
 # The shape of the chest at the end of exhale: a slow change of one part of it passes for breathing in every frame.
 #
 # Cloth that swells, a belly that fills, or a growing error of the depth over half of the region is explained by a
 # tilt of the body, or by a shift between thorax and abdomen, which both come and go within a breath. At the end of
 # exhale neither is left of a breath: there they are drifts, and bounded as the level is
 # (:mod:`engine.gating.supervision.baseline`).
-
-REDISTRIBUTED_SHARE = 0.3
-"""Allowed shift between thorax and abdomen, root mean square, as a share of the bound of the level: one half of the
-region that rises evenly by h mm is a shift of about 0.6 h."""
-KEPT_US = 15_000_000
-"""An end of exhale is known when the next inhale has begun: earlier than this."""
-
-
 class _Shape(NamedTuple):
     """Tilt about the axis across the body [deg] and redistribution [mm], of one frame."""
 
@@ -53,13 +61,14 @@ class ExhaleShape:
     def __init__(self, limits: GateLimits) -> None:
         self._max_mm = limits.max_baseline_drift_mm
         self._kept: deque[_Shape] = deque()
+        self._since_us: int | None = None
         self._exhale_us: int | None = None
         self._drifted: Interruption | None = None
 
     def reset(self) -> None:
         """Accept the patient's present shape: the reference was set."""
         self._kept.clear()
-        self._exhale_us, self._drifted = None, None
+        self._since_us = self._exhale_us = self._drifted = None
 
     def check(self, measurement: Measurement, *, has_reference: bool) -> Interruption | None:
         """Return the hold for a shape that has drifted; it stands until the next end of exhale."""
@@ -70,15 +79,25 @@ class ExhaleShape:
             return None  # the frame itself holds
         while self._kept and not 0 <= now_us - self._kept[0].timestamp_us <= KEPT_US:
             self._kept.popleft()
+        if self._since_us is None:
+            self._since_us = now_us
         if position is not None:
             self._kept.append(_Shape(now_us, position.tilt_deg, position.redistributed_mm))
         exhale_us = measurement.breaths[0].exhale_us if measurement.breaths else None
         if exhale_us is not None and exhale_us != self._exhale_us:
             self._exhale_us = exhale_us
-            found = next((one for one in self._kept if one.timestamp_us >= exhale_us), None)
-            if found is not None and self._kept[0].timestamp_us <= exhale_us:
-                self._drifted = self._hold(found, _half_length_mm(motion.surface_mm))
+            if exhale_us >= self._since_us:
+                self._drifted = self._judge(exhale_us, _half_length_mm(motion.surface_mm))
         return self._drifted
+
+    def _judge(self, exhale_us: int, half_length_mm: float) -> Interruption | None:
+        """Return the hold of an end of exhale since the reference, or for one that cannot be compared any more."""
+        found = next((one for one in self._kept if one.timestamp_us >= exhale_us), None)
+        if not self._kept:
+            return None  # the surface's position is not known at all, which `Checks` says
+        if found is None or self._kept[0].timestamp_us > exhale_us:
+            return Interruption(HoldReason.CHECK_MISSING, NOT_JUDGED)
+        return self._hold(found, half_length_mm)
 
     def _hold(self, shape: _Shape, half_length_mm: float) -> Interruption | None:
         ends_mm = abs(math.tan(math.radians(shape.tilt_deg))) * half_length_mm
@@ -110,10 +129,6 @@ def _half_length_mm(surface_mm: FloatArray) -> float:
 
 
 # Age of the model in use, by the host's clock, since it was trained or compared with the patient.
-
-NS_PER_MIN = 60 * NS_PER_S
-
-
 class ModelAge:
     """Follows the learning events; owned by the engine thread."""
 
@@ -156,6 +171,15 @@ class WarmUp:
     def __init__(self, limits: GateLimits) -> None:
         self._warmth = Warmth(limits.warm_up_s, limits.cold_share)
 
+    def begin(self, cold_share: float) -> None:
+        """Begin with a camera that is this cold."""
+        self._warmth.cold_share = cold_share if self._warmth.warm_up_s > 0.0 else 0.0
+
+    @property
+    def is_cold(self) -> bool:
+        """Whether the readings still drift."""
+        return self._warmth.left_s > 0.0
+
     def check(self, received_ns: int) -> Interruption | None:
         """Return the hold for a camera that is not warm yet."""
         self._warmth.frame(received_ns)
@@ -179,6 +203,18 @@ class FrameSupervisor:
         self._exhale_shape = ExhaleShape(limits)
         self._old_pictures = _OldPictures()
         self._order = _DeviceOrder()
+        self._is_reference_cold = False
+
+    def begin(self, cold_share: float | None) -> None:
+        """Begin with a camera that was opened as cold as this; None where it is not known."""
+        if cold_share is not None:
+            self._warm_up.begin(cold_share)
+
+    def take_warmed(self) -> bool:
+        """Return, once, that the camera has become warm since the reference was set with it cold."""
+        is_due = self._is_reference_cold and not self._warm_up.is_cold
+        self._is_reference_cold = self._is_reference_cold and not is_due
+        return is_due
 
     def check(
         self,
@@ -194,20 +230,21 @@ class FrameSupervisor:
 
         ``window`` is the one that is in use.
         """
+        shifted = self._shift.check(
+            measurement.motion,
+            has_reference=has_reference,
+            position=measurement.position,
+            timestamp_us=measurement.timestamp_us,
+            is_on_part=not all(map(is_wide, window.choices)),
+        )
         found = (
             self._warm_up.check(frame.received_ns),
-            self._checks.check(measurement, has_reference=has_reference),
+            self._checks.check(measurement, has_reference=has_reference, has_markers=self._shift.movement is not None),
             self._rate.check(frame.received_ns),
             self._exhale_shape.check(measurement, has_reference=has_reference),
             self._baseline.check(measurement, window, has_reference=has_reference),
             self._age.check(model, notices, frame.received_ns),
-            self._shift.check(
-                measurement.motion,
-                has_reference=has_reference,
-                position=measurement.position,
-                timestamp_us=measurement.timestamp_us,
-                is_on_part=not all(map(is_wide, window.choices)),
-            ),
+            shifted,
             self._old_pictures.check(measurement),
             self._order.check(frame.device_index),
         )
@@ -230,6 +267,7 @@ class FrameSupervisor:
 
     def reset_position(self) -> None:
         """Measure later shifts and drifts from the patient's next position: the reference was set."""
+        self._is_reference_cold = self._warm_up.is_cold
         self._checks.reset()
         self._exhale_shape.reset()
         self._shift.reset()
@@ -257,36 +295,37 @@ class _FrameRate:
         return Interruption(HoldReason.FRAME_RATE_LOW, detail)
 
 
-MAX_OLD_MS = 100.0
-"""Limit of the total time of repeated pictures, since the session or the last such fault (AAPM TG-142: 100 ms)."""
-
-
 class _OldPictures:
     """Adds up the time of repeated pictures: later pictures may be older than their time stamps by that sum.
 
     A camera or driver whose queue grows repeats pictures and then delivers new ones late, each with the time of
-    delivery. Nothing in a later picture shows that it has caught up, so the time is never forgotten.
+    delivery. Nothing in a later picture shows that it has caught up, so the time is never forgotten. Of a part that
+    lags, too, only the first pictures repeat what was seen.
     """
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
         self._old_ns = 0
+        self._max_old_ms = MAX_OLD_MS
 
     def check(self, measurement: Measurement) -> Interruption | None:
         last_ns, self._last_ns = self._last_ns, measurement.received_ns
         lost = measurement.lost
-        if last_ns is None or lost is None or lost.reason is not LostReason.FRAME_FROZEN:
-            if self._old_ns > MAX_OLD_MS * NS_PER_MS:
-                self._old_ns = 0  # the fault has latched; a person who acknowledges it looks at the camera
+        if last_ns is None or lost is None or lost.reason not in {LostReason.FRAME_FROZEN, LostReason.FRAME_TORN}:
+            if self._old_ns > self._max_old_ms * NS_PER_MS:
+                # The fault has latched; a person who acknowledges it looks at the camera.
+                self._old_ns, self._max_old_ms = 0, MAX_OLD_MS
             return None
+        if lost.reason is LostReason.FRAME_TORN:
+            self._max_old_ms = MAX_OLD_IN_PART_MS
         self._old_ns += measurement.received_ns - last_ns
         old_ms = self._old_ns / NS_PER_MS
-        if old_ms <= MAX_OLD_MS:
+        if old_ms <= self._max_old_ms:
             return None
         detail = say(
             "pictures were repeated for {old_ms:.0f} ms, {max_old_ms:g} allowed: later ones may be as late",
             old_ms=old_ms,
-            max_old_ms=MAX_OLD_MS,
+            max_old_ms=self._max_old_ms,
         )
         return Interruption(HoldReason.FRAME_STALE, listed("; ", (detail, lost.detail)))
 

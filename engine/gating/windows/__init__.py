@@ -19,13 +19,16 @@ from engine.gating.windows.amplitude import (
 )
 from engine.gating.windows.breath_hold import HOLD_BOUNDS, BreathHoldWindow, HoldKind
 from engine.gating.windows.conditions import (
+    BreathDepth,
     ConditionState,
     HoldStage,
     WindowInput,
     WindowVerdict,
     armed_again,
+    breath_depths,
     interrupted,
     left,
+    rescaled,
 )
 from engine.gating.windows.phase import (
     MAX_CONDITIONS,
@@ -34,8 +37,12 @@ from engine.gating.windows.phase import (
     Join,
     JoinedWindow,
     PhaseWindow,
+    begun,
+    breathed_from_ns,
+    followed,
     initial_states,
     is_held,
+    permitted,
 )
 
 __all__ = [
@@ -46,6 +53,7 @@ __all__ = [
     "MAX_VOLUME_L",
     "MIN_PERCENT",
     "AmplitudeWindow",
+    "BreathDepth",
     "BreathHoldWindow",
     "Condition",
     "ConditionState",
@@ -60,8 +68,14 @@ __all__ = [
     "WindowVerdict",
     "amplitude_window",
     "armed_again",
+    "begun",
+    "breath_depths",
+    "breathed_from_ns",
+    "followed",
     "initial_states",
     "interrupted",
     "is_held",
     "left",
+    "permitted",
+    "rescaled",
 ]

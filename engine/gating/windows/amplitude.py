@@ -11,6 +11,7 @@ from engine.core.replacing import replace
 from engine.core.sentences import say
 from engine.core.signals import Ranges, check_choice, signal_of
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
+from engine.gating.windows.patient_breath import Edges, SignalNow
 
 MAX_MOTION_MM = 200.0
 MAX_VOLUME_L = 20.0
@@ -109,6 +110,22 @@ class AmplitudeWindow:
             raise InvalidValueError("unit", self.unit, say("mm or l: the breathing range is not known yet"))
         return replace(self, lower=self.lower + by, upper=self.upper + by)
 
+    @property
+    def edges(self) -> Edges:
+        """The edges and the hysteresis, in the window's unit."""
+        return Edges(self.lower, self.upper, self.hysteresis)
+
+    def signal_now(self, frame_input: WindowInput) -> SignalNow:
+        """Return what the patient's breath is judged by."""
+        return SignalNow(
+            value=signal_of(self.choice, frame_input.motion),
+            at_us=frame_input.timestamp_us,
+            edges=None if self.unit is Unit.PERCENT else self.edges,
+            is_out=False,
+            breath=frame_input.depth_of(self.choice),
+            per_mm=self.choice.per_mm,
+        )
+
     def contains(self, value: float, *, was_inside: bool) -> bool:
         """Whether the signal is inside; NaN never is."""
         margin = 0.0 if was_inside else self.hysteresis
@@ -134,8 +151,7 @@ class AmplitudeWindow:
             unit=self.unit,
         )
         detail = say("{value} {unit} is not inside {edges}", value=f"{value:.{digits}f}", unit=self.unit, edges=edges)
-        has_left = value < self.lower or value > self.upper
-        return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=has_left)
+        return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
 
     def _field(self, name: str) -> str:
         return f"{name}_{self.unit}"

@@ -21,6 +21,7 @@ from engine.gating.windows.conditions import (
     interrupted,
     outside,
 )
+from engine.gating.windows.patient_breath import SignalNow
 
 HOLD_BOUNDS: dict[str, tuple[float, float]] = {
     "settle_ms": (100.0, 10_000.0),
@@ -53,9 +54,9 @@ class BreathHoldWindow:
     still
         Largest range of the signal while it settles [mm or l].
     max_drift
-        Largest distance from the settled level [mm or l]; beyond it the hold ends, and the next one begins outside.
+        Largest distance from the settled level [mm or l]; beyond it the hold ends, until the patient has breathed.
     timeout_s
-        Longest hold [s]; then the patient breathes, and the next one begins outside.
+        Longest hold [s]: of one breath, through whatever windows; the least of theirs counts.
     """
 
     level: AmplitudeWindow
@@ -96,16 +97,23 @@ class BreathHoldWindow:
         """Move the level by a baseline correction."""
         return replace(self, level=self.level.shifted(choice, by))
 
+    def signal_now(self, frame_input: WindowInput) -> SignalNow:
+        """Return what the patient's breath is judged by."""
+        return self.level.signal_now(frame_input)
+
     def judge(self, frame_input: WindowInput, states: tuple[ConditionState, ...]) -> WindowVerdict:
         """Evaluate one frame and advance the stage of the hold."""
         state = states[0]
+        if state.trail.is_away_long:
+            state = ConditionState(holds=state.holds, trail=state.trail.begun(is_over=True))
+        elif state.settled_at is not None and self.timeout_s < state.timeout_s:
+            state = replace(state, timeout_s=self.timeout_s)
         inside = self.level.judge(frame_input, (replace(state, is_inside=state.stage is not HoldStage.AWAITED),))
         if not inside.is_inside:
             return outside(
-                ConditionState(holds=state.holds) if inside.has_left else interrupted((state,))[0],
+                interrupted((state,))[0],
                 HoldReason.BREATH_HOLD_AWAITED if inside.reason is HoldReason.OUTSIDE_WINDOW else inside.reason,
                 inside.detail,
-                has_left=inside.has_left,
             )
         if state.stage in ENDED_BY:
             return outside(state, ENDED_BY[state.stage], self._needs_a_breath())
@@ -131,7 +139,9 @@ class BreathHoldWindow:
             )
         held = replace(state, stage=HoldStage.HELD, since_us=now_us)
         if held.settled_at is None:
-            held = replace(held, settled_at=value, held_since_us=now_us, holds=state.holds + 1)
+            held = replace(
+                held, settled_at=value, held_since_us=now_us, timeout_s=self.timeout_s, holds=state.holds + 1
+            )
         return WindowVerdict(is_inside=True, states=(held,))
 
     def _still_settling(self, state: ConditionState, detail: str) -> WindowVerdict:
@@ -155,10 +165,10 @@ class BreathHoldWindow:
                 HoldReason.BREATH_HOLD_DRIFTED,
                 say("{detail}, {max_drift:g} allowed", detail=detail, max_drift=self.max_drift),
             )
-        if (now_us - state.held_since_us) * NS_PER_US >= self.timeout_s * NS_PER_S:
+        if (now_us - state.held_since_us) * NS_PER_US >= state.timeout_s * NS_PER_S:
             ended = replace(state, stage=HoldStage.OVER, since_us=now_us)
             return outside(
-                ended, HoldReason.BREATH_HOLD_OVER, say("held for {timeout_s:g} s", timeout_s=self.timeout_s)
+                ended, HoldReason.BREATH_HOLD_OVER, say("held for {timeout_s:g} s", timeout_s=state.timeout_s)
             )
         return None
 

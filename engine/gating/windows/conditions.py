@@ -5,10 +5,14 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from engine.core.breath import Breath
+from engine.core.breath import Breath, SignalChoice
 from engine.core.frames import Motion
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
+from engine.core.signals import Ranges
+from engine.gating.windows.patient_breath import SignalTrail
+
+NO_TRAIL = SignalTrail()
 
 
 class HoldStage(enum.StrEnum):
@@ -21,12 +25,29 @@ class HoldStage(enum.StrEnum):
     OVER = "over"
 
 
+class BreathDepth(NamedTuple):
+    """Depth of the learned breath in a signal [mm, l of the volume]."""
+
+    choice: SignalChoice
+    depth: float
+
+
+def breath_depths(ranges: Ranges) -> tuple[BreathDepth, ...]:
+    """Return the depth of the learned breath in each signal whose range is known."""
+    return tuple(BreathDepth(choice, learned.high - learned.low) for choice, learned in ranges.items())
+
+
 class WindowInput(NamedTuple):
-    """The part of a checked frame that a window uses."""
+    """The part of a checked frame that a window uses, and the learned breath that it is compared with."""
 
     motion: Motion
     breaths: tuple[Breath, ...]
     timestamp_us: int
+    depths: tuple[BreathDepth, ...] = ()
+
+    def depth_of(self, choice: SignalChoice) -> float | None:
+        """Return the depth of the learned breath in a signal; None where it is not known."""
+        return next((one.depth for one in self.depths if one.choice == choice), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +65,12 @@ class ConditionState:
     settled_at, held_since_us
         Of a breath hold: the level at which it was still, and when [us]; unchanged by unusable frames, because the
         patient has not breathed meanwhile. None before.
+    timeout_s
+        Of a breath hold: the least time that any window in force since then has allowed it [s].
     holds
         Number of breath holds so far that became still.
+    trail
+        Where its signal was with the beam on, and whether the patient has breathed since.
     """
 
     is_inside: bool = False
@@ -55,21 +80,18 @@ class ConditionState:
     highest: float = -math.inf
     settled_at: float | None = None
     held_since_us: int = 0
+    timeout_s: float = math.inf
     holds: int = 0
+    trail: SignalTrail = NO_TRAIL
 
 
 class WindowVerdict(NamedTuple):
-    """Whether the frame is inside, the new states, and the reason if it is not.
-
-    ``has_left``: the value was measured beyond an edge itself, so the patient has breathed. A value between an edge and
-    the hysteresis, or one that is not known, is outside and has not left.
-    """
+    """Whether the frame is inside, the new states, and the reason if it is not."""
 
     is_inside: bool
     states: tuple[ConditionState, ...]
     reason: HoldReason | None = None
     detail: str = ""
-    has_left: bool = False
 
 
 ENDED_BY = {HoldStage.DRIFTED: HoldReason.BREATH_HOLD_DRIFTED, HoldStage.OVER: HoldReason.BREATH_HOLD_OVER}
@@ -84,7 +106,13 @@ def interrupted(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...
     return tuple(
         replace(state, is_inside=False)
         if state.stage in ENDED_BY
-        else ConditionState(settled_at=state.settled_at, held_since_us=state.held_since_us, holds=state.holds)
+        else ConditionState(
+            settled_at=state.settled_at,
+            held_since_us=state.held_since_us,
+            timeout_s=state.timeout_s,
+            holds=state.holds,
+            trail=state.trail,
+        )
         for state in states
     )
 
@@ -105,12 +133,16 @@ def armed_again(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...
     )
 
 
-def outside(state: ConditionState, reason: HoldReason | None, detail: str, *, has_left: bool = False) -> WindowVerdict:
+def rescaled(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
+    """Return the states where motion counts from another reference, or is measured with another model."""
+    return tuple(replace(state, trail=state.trail.rescaled()) for state in states)
+
+
+def outside(state: ConditionState, reason: HoldReason | None, detail: str) -> WindowVerdict:
     """Return a verdict outside, with its reason."""
     return WindowVerdict(
         is_inside=False,
         states=(replace(state, is_inside=False),),
         reason=reason,
         detail=detail,
-        has_left=has_left,
     )

@@ -7,15 +7,18 @@ import enum
 from dataclasses import dataclass
 
 from engine.core.bounds import check_number
-from engine.core.breath import WHOLE, SignalChoice
+from engine.core.breath import WHOLE, Breath, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
 from engine.core.sentences import say
-from engine.core.signals import Ranges, check_choice
+from engine.core.signals import Ranges, check_choice, signal_of
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
 from engine.gating.windows.conditions import ConditionState, HoldStage, WindowInput, WindowVerdict, outside
+from engine.gating.windows.patient_breath import SignalNow
+
+MAX_CONDITIONS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,10 +70,26 @@ class PhaseWindow:
             return self.from_percent <= phase_percent <= self.to_percent
         return phase_percent >= self.from_percent or phase_percent <= self.to_percent
 
+    def signal_now(self, frame_input: WindowInput) -> SignalNow:
+        """Return what the patient's breath is judged by: a phase that is not known well is not outside."""
+        breath = self._breath(frame_input)
+        phase = None if breath is None or not breath.phase_confidence >= self.min_confidence else breath.phase_percent
+        return SignalNow(
+            value=signal_of(self.choice, frame_input.motion),
+            at_us=frame_input.timestamp_us,
+            edges=None,
+            is_out=phase is not None and not self.contains(phase),
+            breath=frame_input.depth_of(self.choice),
+            per_mm=self.choice.per_mm,
+        )
+
+    def _breath(self, frame_input: WindowInput) -> Breath | None:
+        return next((breath for breath in frame_input.breaths if breath.signal == self.choice), None)
+
     def judge(self, frame_input: WindowInput, states: tuple[ConditionState, ...]) -> WindowVerdict:
         """Evaluate one frame; an unknown phase, or one of low confidence, is outside."""
         state = states[0]
-        breath = next((breath for breath in frame_input.breaths if breath.signal == self.choice), None)
+        breath = self._breath(frame_input)
         if breath is None or breath.phase_percent is None:
             note = say("the phase of this signal is not computed") if breath is None else breath.note
             return outside(state, HoldReason.PHASE_UNKNOWN, note)
@@ -88,11 +107,10 @@ class PhaseWindow:
                 from_percent=self.from_percent,
                 to_percent=self.to_percent,
             )
-            return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=True)
+            return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
         return WindowVerdict(is_inside=True, states=(state,))
 
 
-MAX_CONDITIONS = 4
 Condition = AmplitudeWindow | BreathHoldWindow | PhaseWindow
 
 
@@ -151,13 +169,11 @@ class JoinedWindow:
         met = any(verdict.is_inside for verdict in verdicts)
         if unmet is None or (self.join is Join.OR and met):
             return WindowVerdict(is_inside=True, states=states_now)
-        leavers = any if self.join is Join.AND else all
         return WindowVerdict(
             is_inside=False,
             states=states_now,
             reason=unmet.reason,
             detail=unmet.detail,
-            has_left=leavers(verdict.has_left for verdict in verdicts),
         )
 
 
@@ -170,6 +186,48 @@ def is_held(window: GateWindow, states: tuple[ConditionState, ...]) -> bool:
         isinstance(leaf, BreathHoldWindow) and state.stage is HoldStage.HELD
         for leaf, state in zip(window.leaves, states, strict=True)
     )
+
+
+def begun(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
+    """Return the states at the beginning of a new stay."""
+    return tuple(replace(state, trail=state.trail.begun()) for state in states)
+
+
+def followed(
+    window: GateWindow, frame_input: WindowInput, states: tuple[ConditionState, ...], max_gap_ms: float
+) -> tuple[ConditionState, ...]:
+    """Return the states with each condition's signal followed to this frame."""
+    return tuple(
+        replace(state, trail=state.trail.followed(leaf.signal_now(frame_input), max_gap_ms))
+        for leaf, state in zip(window.leaves, states, strict=True)
+    )
+
+
+def permitted(
+    window: GateWindow, frame_input: WindowInput, states: tuple[ConditionState, ...], *, on_ns: int, is_on: bool
+) -> tuple[ConditionState, ...]:
+    """Return the states after the decision on a frame: with the beam on, or a breath held, that is the place."""
+    return tuple(
+        replace(state, trail=state.trail.permitted(leaf.signal_now(frame_input), on_ns))
+        if is_on or state.stage is HoldStage.HELD
+        else state
+        for leaf, state in zip(window.leaves, states, strict=True)
+    )
+
+
+def breathed_from_ns(window: GateWindow, states: tuple[ConditionState, ...], on_ns: int) -> int | None:
+    """Return the beam-on time of the old stay at which the new one starts [ns]; None if the patient has not breathed.
+
+    Where all conditions are needed, the breath of one of them ends a stay; where any permits the beam, of all.
+    """
+    join = window.join if isinstance(window, JoinedWindow) else Join.AND
+    found = [
+        on_ns if state.trail.has_breathed else state.trail.moved_on_ns if state.trail.has_breathed_on else None
+        for state in states
+    ]
+    ended = [one for one in found if one is not None]
+    is_over = bool(ended) if join is Join.AND else len(ended) == len(found)
+    return (max(ended) if join is Join.AND else min(ended)) if is_over else None
 
 
 def initial_states(window: GateWindow) -> tuple[ConditionState, ...]:

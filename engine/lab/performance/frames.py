@@ -25,13 +25,14 @@ from engine.lab.performance.machine import (
 from engine.lab.performance.session import READ_TIMEOUT_S, BenchSession, EndlessSource, Recording
 from engine.motion.learning.trainer import InlineTrainer
 
-# The plain method of the article on the benchmark's recording, timed like Tidegate: from decoded pictures onwards.
-
 # The number of training frames does not change the cost of a frame.
 TRAINING_FRAMES = 20
 MAX_UNMEASURED = 100
+NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
+MIN_MEASURED_SHARE = 0.95
 
 
+# The plain method of the article on the benchmark's recording, timed like Tidegate: from decoded pictures onwards.
 class PlainSession:
     """Measures frames one by one, up to the reconstructed surface (equation 7)."""
 
@@ -73,10 +74,6 @@ class PlainSession:
 
 
 # Times the decoding of depth and colour pictures from a recording.
-
-NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureCost:
     """Decoding of one kind of picture."""
@@ -104,9 +101,6 @@ def _cost(name: str, frames: list[CodedFrame]) -> PictureCost:
         _ = frame.decode_depth() if frame.is_depth else frame.decode_color()
         spent_ns[number] = time.perf_counter_ns() - started
     return PictureCost(name=name, timing=timing_of([spent_ns]))
-
-
-MIN_MEASURED_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,16 @@ from engine.lab.performance.throughput import FitCost, FitSizes, FramesWhileFitt
 if TYPE_CHECKING:
     from engine.lab.performance.machine import Timing
 
+MEDIAN_US, P99_US = 400.0, 1000.0
+MIN_RATIO = 30.0
+FIT_S = 0.3
+FITTING_P99_US = 2500.0
+DEPTH_US = 350.0
+MIN_FRAMES_PER_S = (400.0, 600.0, 750.0)
+"""Of `tidegate measure` on one core, on two, and on two recordings at once."""
+FLAT_MB = 8.0
+"""Largest accepted growth of a session's memory; a fit's temporary arrays vary by more."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedSizes:
@@ -36,17 +46,6 @@ class SpeedFigures:
     throughput: tuple[Throughput, ...]
     memory: MemoryUse
     load_averages: tuple[float, ...]
-
-
-MEDIAN_US, P99_US = 400.0, 1000.0
-MIN_RATIO = 30.0
-FIT_S = 0.3
-FITTING_P99_US = 2500.0
-DEPTH_US = 350.0
-MIN_FRAMES_PER_S = (400.0, 600.0, 750.0)
-"""Of `tidegate measure` on one core, on two, and on two recordings at once."""
-FLAT_MB = 8.0
-"""Largest accepted growth of a session's memory; a fit's temporary arrays vary by more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,8 @@ READ_TIMEOUT_S = 5.0
 WINDOW = amplitude_window(lower_mm=-30.0, upper_mm=60.0)
 LONGEST_GAP_PERIODS = 1.8
 MAX_TRAINING_FRAMES = 4000
+SCENARIO, VOLUNTEER, SEED, FPS = "regular", 1, 1, 30.0
+FOLDER = "speed-recording"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,10 +170,6 @@ class BenchSession:
     def close(self) -> None:
         """Close the recording."""
         self._source.close()
-
-
-SCENARIO, VOLUNTEER, SEED, FPS = "regular", 1, 1, 30.0
-FOLDER = "speed-recording"
 
 
 def make_recording(work: Path, seconds: float, on_progress: Callable[[int, int], None]) -> Path:

@@ -37,6 +37,8 @@ from engine.motion.settings import PipelineSettings
 from engine.motion.training_process.process_trainer import ProcessTrainer
 from engine.offline.measure import measure_recording
 
+MAX_FRAMES_PER_FIT = 100
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRun:
@@ -117,9 +119,6 @@ def steady_rate(recording: Recording, work: Path) -> float:
     finally:
         shutil.rmtree(out, ignore_errors=True)
     return frames_per_s(np.array(stamps_ns, dtype=np.float64))
-
-
-MAX_FRAMES_PER_FIT = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

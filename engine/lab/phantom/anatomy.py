@@ -31,6 +31,7 @@ _BELLY_SHARE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.03, 0.28, 0.55, 0.66, 0.55, 0.37, 0.3
 _WIDTH_SHARE = (0.42, 0.66, 1.02, 1.10, 1.03, 0.97, 0.94, 0.96, 1.03, 1.08, 1.05, 1.0)
 
 Grid = npt.NDArray[np.float64]
+__all__ = ["BUILDS", "MODES", "Anatomy", "Spot"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,6 +172,3 @@ def _shiny(rng: np.random.Generator) -> Spot:
     return Spot(
         x_mm=float(rng.uniform(-80, 80)), y_mm=float(rng.uniform(-150, 150)), radius_mm=float(rng.uniform(6, 11))
     )
-
-
-__all__ = ["BUILDS", "MODES", "Anatomy", "Spot"]

@@ -23,6 +23,41 @@ CLOTHING = ("white", "black", "striped", "bare")
 """What covers the trunk in place of the volunteer's own shirt; ``bare`` is skin."""
 STICKERS = ("plain", "ringed")
 """White discs, or the same discs on black ones of three times their diameter."""
+_NAVY, _COAL, _GREEN, _WINE = (34, 40, 62), (44, 44, 48), (34, 54, 46), (62, 36, 44)
+# One column per volunteer.
+# fmt: off
+_NUMBERS = {
+    "bmi":             (  26.4,   28.7,   27.4,   21.5,   26.9,   26.5,   19.3,   24.3,   20.9,   24.0),
+    "half_width_mm":   ( 168.0,  182.0,  176.0,  156.0,  172.0,  170.0,  146.0,  164.0,  152.0,  162.0),
+    "chest_mm":        ( 214.0,  226.0,  220.0,  198.0,  216.0,  212.0,  188.0,  208.0,  194.0,  206.0),
+    "belly_base_mm":   ( 206.0,  228.0,  218.0,  178.0,  212.0,  208.0,  164.0,  194.0,  172.0,  192.0),
+    "breast_mm":       (   9.0,   12.0,   10.0,    6.0,   11.0,    8.0,    5.0,    9.0,    6.0,    8.0),
+    "belly_mm":        (  14.0,   32.0,   22.0,   -4.0,   18.0,   20.0,   -8.0,    8.0,   -5.0,   10.0),
+    "asymmetry":       (  0.06,  -0.04,   0.08,   0.03,  -0.07,   0.05,  -0.05,   0.09,  -0.08,   0.04),
+    "roi_length_mm":   ( 385.0,  395.0,  380.0,  400.0,  390.0,  375.0,  392.0,  405.0,  388.0,  398.0),
+    "amplitude_mm":    (  11.2,   11.5,    9.0,    8.6,   11.0,    9.6,    8.2,   10.6,    8.0,   12.0),
+    "period_s":        (   4.0,    3.6,    4.5,    3.2,    4.2,    3.8,    3.4,    4.8,    5.0,    3.0),
+    "thorax_share":    (  0.45,   0.32,   0.50,   0.62,   0.40,   0.36,   0.70,   0.48,   0.66,   0.38),
+    "thorax_lag_s":    (  0.25,   0.15,   0.35,   0.20,   0.30,   0.10,   0.28,   0.38,   0.22,   0.18),
+    "spread_lag_s":    (  0.30,   0.22,   0.34,   0.18,   0.26,   0.24,   0.20,   0.32,   0.36,   0.16),
+    "camera_mm":       ( 850.0,  830.0,  870.0,  900.0,  845.0,  810.0,  780.0,  920.0,  860.0,  840.0),
+    "roll_deg":        (   1.2,   -2.4,    0.6,    2.8,   -1.5,    1.9,   -0.8,    0.2,   -2.0,    1.0),
+    "tilt_x_deg":      (   2.5,    4.0,    1.0,    3.0,    2.0,    5.0,    1.6,    3.4,    2.2,    4.4),
+    "tilt_y_deg":      (  -1.2,    1.0,    2.2,    0.4,   -2.6,    0.8,    1.6,   -0.6,   -1.8,    1.4),
+    "depth_scale":     ( 1.021,  0.984,  1.013,  0.978,  1.030,  0.992,  1.016,  0.987,  1.008,  1.025),
+    "depth_offset_mm": (  -3.0,    6.0,    2.0,    4.0,   -8.0,    3.0,   -2.0,    5.0,   -5.0,    1.0),
+}
+# fmt: on
+_SHIRTS = (_NAVY, _COAL, _GREEN, _NAVY, _WINE, _COAL, _GREEN, _NAVY, _WINE, _COAL)
+DEPARTURE_BOUNDS = {
+    "camera_mm": (550.0, 1500.0),
+    "amplitude_mm": (0.5, 60.0),
+    "hole_share": (0.0, 0.9),
+    "drift_mm": (-30.0, 30.0),
+    "light": (0.001, 1.0),
+    "shadow": (0.0, 1.0),
+}
+"""Lowest and highest value of each departure; at a smaller distance the four stickers leave the picture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,32 +106,6 @@ class Build:
     skin_rgb: tuple[int, int, int]
 
 
-_NAVY, _COAL, _GREEN, _WINE = (34, 40, 62), (44, 44, 48), (34, 54, 46), (62, 36, 44)
-# One column per volunteer.
-# fmt: off
-_NUMBERS = {
-    "bmi":             (  26.4,   28.7,   27.4,   21.5,   26.9,   26.5,   19.3,   24.3,   20.9,   24.0),
-    "half_width_mm":   ( 168.0,  182.0,  176.0,  156.0,  172.0,  170.0,  146.0,  164.0,  152.0,  162.0),
-    "chest_mm":        ( 214.0,  226.0,  220.0,  198.0,  216.0,  212.0,  188.0,  208.0,  194.0,  206.0),
-    "belly_base_mm":   ( 206.0,  228.0,  218.0,  178.0,  212.0,  208.0,  164.0,  194.0,  172.0,  192.0),
-    "breast_mm":       (   9.0,   12.0,   10.0,    6.0,   11.0,    8.0,    5.0,    9.0,    6.0,    8.0),
-    "belly_mm":        (  14.0,   32.0,   22.0,   -4.0,   18.0,   20.0,   -8.0,    8.0,   -5.0,   10.0),
-    "asymmetry":       (  0.06,  -0.04,   0.08,   0.03,  -0.07,   0.05,  -0.05,   0.09,  -0.08,   0.04),
-    "roi_length_mm":   ( 385.0,  395.0,  380.0,  400.0,  390.0,  375.0,  392.0,  405.0,  388.0,  398.0),
-    "amplitude_mm":    (  11.2,   11.5,    9.0,    8.6,   11.0,    9.6,    8.2,   10.6,    8.0,   12.0),
-    "period_s":        (   4.0,    3.6,    4.5,    3.2,    4.2,    3.8,    3.4,    4.8,    5.0,    3.0),
-    "thorax_share":    (  0.45,   0.32,   0.50,   0.62,   0.40,   0.36,   0.70,   0.48,   0.66,   0.38),
-    "thorax_lag_s":    (  0.25,   0.15,   0.35,   0.20,   0.30,   0.10,   0.28,   0.38,   0.22,   0.18),
-    "spread_lag_s":    (  0.30,   0.22,   0.34,   0.18,   0.26,   0.24,   0.20,   0.32,   0.36,   0.16),
-    "camera_mm":       ( 850.0,  830.0,  870.0,  900.0,  845.0,  810.0,  780.0,  920.0,  860.0,  840.0),
-    "roll_deg":        (   1.2,   -2.4,    0.6,    2.8,   -1.5,    1.9,   -0.8,    0.2,   -2.0,    1.0),
-    "tilt_x_deg":      (   2.5,    4.0,    1.0,    3.0,    2.0,    5.0,    1.6,    3.4,    2.2,    4.4),
-    "tilt_y_deg":      (  -1.2,    1.0,    2.2,    0.4,   -2.6,    0.8,    1.6,   -0.6,   -1.8,    1.4),
-    "depth_scale":     ( 1.021,  0.984,  1.013,  0.978,  1.030,  0.992,  1.016,  0.987,  1.008,  1.025),
-    "depth_offset_mm": (  -3.0,    6.0,    2.0,    4.0,   -8.0,    3.0,   -2.0,    5.0,   -5.0,    1.0),
-}
-# fmt: on
-_SHIRTS = (_NAVY, _COAL, _GREEN, _NAVY, _WINE, _COAL, _GREEN, _NAVY, _WINE, _COAL)
 BUILDS = tuple(
     Build(
         **{field: values[column] for field, values in _NUMBERS.items()},
@@ -180,16 +189,6 @@ class Departure:
             if value is not None
         }
 
-
-DEPARTURE_BOUNDS = {
-    "camera_mm": (550.0, 1500.0),
-    "amplitude_mm": (0.5, 60.0),
-    "hole_share": (0.0, 0.9),
-    "drift_mm": (-30.0, 30.0),
-    "light": (0.001, 1.0),
-    "shadow": (0.0, 1.0),
-}
-"""Lowest and highest value of each departure; at a smaller distance the four stickers leave the picture."""
 
 NO_DEPARTURE = Departure()
 

@@ -234,7 +234,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stale:
-    """Old pictures with new times.
+    """Pictures that are old, wholly or in part, with new times.
 
     Attributes
     ----------
@@ -244,11 +244,22 @@ class Stale:
         Share of the pixels that change by a step of the sensor in each picture, 0 to 1.
     delay_s_per_s
         How much older the pictures become each second; 0 for a ring.
+    torn_frames
+        How many frames old the lower half of both pictures is, as where a transfer mixes two buffers; 0 for a ring.
+    averaged_frames
+        Over how many frames the driver averages the depth, as a filter in time does; 0 for a ring.
     """
 
     ring: int = 1
     flicker: float = 0.0
     delay_s_per_s: float = 0.0
+    torn_frames: int = 0
+    averaged_frames: int = 0
+
+    @property
+    def is_of_moving(self) -> bool:
+        """Whether the old pictures are always the latest ones before, not the same ones again."""
+        return bool(self.delay_s_per_s or self.torn_frames or self.averaged_frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,6 +39,13 @@ _CORE_SHARE = 0.30
 _REACH_PX = 6.0
 _MARGIN_PX = 64
 _STEPS = 8
+RATE_HZ = 100.0
+NOISE_L_PER_S = 0.012
+OFFSET_L_PER_S = 0.02
+GREATEST_LAG_S = 1.8
+_STEP_S = 0.005
+_DOWN = (0.44, 0.52)  # of the way from the superior to the inferior sticker, on the patient's right and left
+_SLOPE_STEP_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,13 +171,6 @@ def truth_columns(markers_px: Grid) -> Grid:
     return np.arange(np.ceil(left / COLUMN_STEP_PX) * COLUMN_STEP_PX, right + 1e-9, COLUMN_STEP_PX)
 
 
-RATE_HZ = 100.0
-NOISE_L_PER_S = 0.012
-OFFSET_L_PER_S = 0.02
-GREATEST_LAG_S = 1.8
-_STEP_S = 0.005
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Flow:
     """A spirometer's recording: time on its own clock [s] and flow [l/s], shapes (n,)."""
@@ -197,10 +197,6 @@ def breathe_through(scene: Scene, first_frame_us: int) -> Flow:
     offset = OFFSET_L_PER_S * (float(rng.uniform(-1.0, 1.0)) + 0.3 * time_s / scene.script.seconds)
     noise = rng.normal(0.0, NOISE_L_PER_S, len(time_s))
     return Flow(time_s=time_s, flow_l_per_s=(later - earlier) / _STEP_S + offset + noise, lag_s=lag_s)
-
-
-_DOWN = (0.44, 0.52)  # of the way from the superior to the inferior sticker, on the patient's right and left
-_SLOPE_STEP_MM = 4.0
 
 
 class CostalStickers:

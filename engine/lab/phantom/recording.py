@@ -53,6 +53,7 @@ _CHUNK = 24
 _LEAST_FRAMES_A_WORKER = 60
 
 Stamps = npt.NDArray[np.int64]
+_WORKER: list[Studio] = []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -256,9 +257,6 @@ def _make_all(script: Script, tasks: list[_Task], workers: int | None) -> Iterat
         finally:
             for future in waiting:
                 future.cancel()
-
-
-_WORKER: list[Studio] = []
 
 
 def _start_worker(script: Script) -> None:

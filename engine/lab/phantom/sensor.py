@@ -47,6 +47,44 @@ _STEEPEST = 2.2
 _SHADOW_SLACK_PX = 0.6
 # In the flicker zone a pixel has a reading in 7 to 93 % of the frames.
 _ZONE_LEVEL = 1.5
+STEPS_A_PX = 8
+"""Steps of the sensor in one pixel of disparity."""
+WINDOW_PX = 9
+"""Side of the matching window."""
+USUAL = "usual"
+STRUCTURED_LIGHT = "structured-light"
+DISPARITY_STEPS = 32
+"""Steps of a D4xx in one pixel of disparity."""
+BENCHED = (USUAL, "locking")
+"""The models of the article's sensor, on which every bench runs; the others where they are asked for."""
+KINDS_OF_ERROR = {
+    "active-stereo": "sub-pixel noise 0.05 to 0.1 px, steps of 1/32 px: Intel's notes on tuning, and Keselman 2017; "
+    "noise with the texture, and edges that fatten: Giancola 2018",
+    "time-of-flight": "noise, mixed pixels and error with range: PMC7827245 (Azure Kinect, whose sensor and modes a "
+    "Femto Bolt has); periodic error: Foix 2011",
+}
+"""Where the figures of the models that were not fitted to recordings come from."""
+LEAST_NOISE_SHIFTS = 0.1
+"""What is left of noise that is left out: without any, the pictures of a body at rest are equal, and refused."""
+ERRORS: dict[str, dict[str, float | bool]] = {
+    "noise": {"noise_shifts": LEAST_NOISE_SHIFTS},
+    "pattern": {"pattern_shifts": 0.0},
+    "locking": {"locking_shifts": 0.0},
+    "steps": {"is_stepped": False},
+}
+"""Each error of a sensor that can be left out, and the model without it."""
+SHIFTS = 2048
+NEAREST_MM, FARTHEST_MM = 350, 9500
+JUMPS_A_FRAME = 200.0
+JUMP_PX = 3
+WARM_UP_SHARE = 0.0012
+WARM_UP_S = 700.0
+_BANK = 8
+_MARGIN_PX = 128
+# The shift of infinite depth.
+_FAR_SHIFT = 4.0 * (7.5 / ZERO_PLANE_PX_SIZE + 0.375) + 800.0
+_STEP_MM = 25.0
+"""Two surfaces this far apart are two, with an edge between."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,13 +169,6 @@ def _is_steep(depth_mm: FloatArray, focal_px: float) -> BoolArray:
     return np.asarray(np.hypot(down, right) * focal_px / depth_mm > _STEEPEST)
 
 
-STEPS_A_PX = 8
-"""Steps of the sensor in one pixel of disparity."""
-
-WINDOW_PX = 9
-"""Side of the matching window."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorModel:
     """Errors of a sensor in shifts, its own unit.
@@ -183,11 +214,6 @@ class SensorModel:
     period_mm: float = 0.0
 
 
-USUAL = "usual"
-STRUCTURED_LIGHT = "structured-light"
-DISPARITY_STEPS = 32
-"""Steps of a D4xx in one pixel of disparity."""
-
 SENSORS = {
     "usual": SensorModel(
         noise_shifts=0.34,
@@ -232,28 +258,6 @@ SENSORS[STRUCTURED_LIGHT] = SENSORS[USUAL]
 SENSORS["active-stereo-rough"] = replace(SENSORS["active-stereo"], noise_shifts=0.1 * DISPARITY_STEPS)
 """The other end of what is published of active stereo: twice the noise."""
 
-BENCHED = (USUAL, "locking")
-"""The models of the article's sensor, on which every bench runs; the others where they are asked for."""
-
-KINDS_OF_ERROR = {
-    "active-stereo": "sub-pixel noise 0.05 to 0.1 px, steps of 1/32 px: Intel's notes on tuning, and Keselman 2017; "
-    "noise with the texture, and edges that fatten: Giancola 2018",
-    "time-of-flight": "noise, mixed pixels and error with range: PMC7827245 (Azure Kinect, whose sensor and modes a "
-    "Femto Bolt has); periodic error: Foix 2011",
-}
-"""Where the figures of the models that were not fitted to recordings come from."""
-
-
-LEAST_NOISE_SHIFTS = 0.1
-"""What is left of noise that is left out: without any, the pictures of a body at rest are equal, and refused."""
-ERRORS: dict[str, dict[str, float | bool]] = {
-    "noise": {"noise_shifts": LEAST_NOISE_SHIFTS},
-    "pattern": {"pattern_shifts": 0.0},
-    "locking": {"locking_shifts": 0.0},
-    "steps": {"is_stepped": False},
-}
-"""Each error of a sensor that can be left out, and the model without it."""
-
 
 def find_sensor(name: str) -> SensorModel:
     """Return the sensor model of this name, e.g. ``usual`` or ``locking without noise, steps``.
@@ -272,18 +276,6 @@ def find_sensor(name: str) -> SensorModel:
             raise InvalidValueError("sensor", name, f"{base} without some of " + ", ".join(ERRORS))
         model = replace(model, **ERRORS[error])  # type: ignore[arg-type]
     return model
-
-
-SHIFTS = 2048
-NEAREST_MM, FARTHEST_MM = 350, 9500
-JUMPS_A_FRAME = 200.0
-JUMP_PX = 3
-WARM_UP_SHARE = 0.0012
-WARM_UP_S = 700.0
-_BANK = 8
-_MARGIN_PX = 128
-# The shift of infinite depth.
-_FAR_SHIFT = 4.0 * (7.5 / ZERO_PLANE_PX_SIZE + 0.375) + 800.0
 
 
 def depth_table_mm() -> npt.NDArray[np.uint16]:
@@ -433,10 +425,6 @@ class Sensor:
         sizes = rng.uniform(9.0, 18.0, 4 * count) * rng.choice(np.array([-1.0, 1.0]), 4 * count)
         for row, column, size in zip(rows[keep], columns[keep], sizes[keep], strict=True):
             shift[row : row + JUMP_PX, column : column + JUMP_PX] += np.float32(size)
-
-
-_STEP_MM = 25.0
-"""Two surfaces this far apart are two, with an edge between."""
 
 
 def _fattened(depth_mm: Map, reach_px: int) -> Map:

@@ -59,6 +59,7 @@ _SPLINE_STEP_MM = 2.0
 _SPLINE_HALF_MM = (210.0, 270.0)
 _REST_STEPS = 12
 _FRAME_STEPS = 3
+_HALVES = (slice(0, 18), slice(18, 36))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -259,7 +260,6 @@ def _rule(points: int) -> tuple[Grid, Grid]:
 
 
 _RULE_NODES, _RULE_SHARES = _rule(CELL_PX)
-_HALVES = (slice(0, 18), slice(18, 36))
 
 
 def _node_layout() -> tuple[Grid, Grid, Grid]:

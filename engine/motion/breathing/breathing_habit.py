@@ -18,6 +18,17 @@ Path = tuple[tuple[float, float], ...]
 """Pairs of time [s], ascending, and level [mm]."""
 Shape = tuple[float, ...]
 """Heights at equal steps of phase from 0 %, the end of inhale; periodic."""
+KEPT_CYCLES = 8
+USUAL_CYCLES = 6
+RECENT_CYCLES = 4
+JUDGED_CYCLES = 5
+PERIOD_SPREAD = 0.27
+AMPLITUDE_SPREAD = 0.27
+LEVEL_SPREAD = 0.30
+"""Relative deviations of period, amplitude and level that count as 1 in a breath's deviation (`Cycle.deviation`)."""
+MAX_ODD = 2.2
+SIGMA_OF_MEDIAN = 1.4826
+SECOND_DIFFERENCE_GAIN = 6.0**0.5
 
 
 def shape_of(path: Path, start_s: float, end_s: float, low: float, high: float) -> Shape | None:
@@ -46,19 +57,6 @@ def height_at(shape: Shape, percent: float) -> float:
     before = int(place) % len(shape)
     share = place - int(place)
     return shape[before] + share * (shape[(before + 1) % len(shape)] - shape[before])
-
-
-KEPT_CYCLES = 8
-USUAL_CYCLES = 6
-RECENT_CYCLES = 4
-JUDGED_CYCLES = 5
-PERIOD_SPREAD = 0.27
-AMPLITUDE_SPREAD = 0.27
-LEVEL_SPREAD = 0.30
-"""Relative deviations of period, amplitude and level that count as 1 in a breath's deviation (`Cycle.deviation`)."""
-MAX_ODD = 2.2
-SIGMA_OF_MEDIAN = 1.4826
-SECOND_DIFFERENCE_GAIN = 6.0**0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,6 +42,17 @@ DRIFT_SCATTERS = 4.0
 MAX_SCATTER_MM_PER_PERIOD_S = 0.25
 DRIFT_OVER_SHARE = 0.6
 STEADY_SHARE = 0.3
+Events = tuple[BreathEvent, ...]
+ARM_S = 0.15
+MIN_BEND_MM = 1.2
+TIMES_USUAL = 7.0
+SHARE_OF_AMPLITUDE = 0.1
+USUAL_S = 15.0
+"""Time constant over which the usual bend is learned [s]."""
+SHORT_S = 1.2
+MEMORY_S = 1.3
+"""Longest time between two bends of a burst [s]."""
+MIN_BENDS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,9 +90,6 @@ class Indicators:
     regularity: float | None
     drifts: tuple[float, float] | None
     scatter: float
-
-
-Events = tuple[BreathEvent, ...]
 
 
 def find_event(events: Events, kind: BreathEventKind) -> BreathEvent | None:
@@ -230,18 +238,6 @@ _RULES: dict[BreathEventKind, Callable[[Events, Indicators, BreathingHabit], Out
     BreathEventKind.NO_CYCLE: _no_cycle,
     BreathEventKind.IRREGULAR: _irregular,
 }
-
-
-ARM_S = 0.15
-MIN_BEND_MM = 1.2
-TIMES_USUAL = 7.0
-SHARE_OF_AMPLITUDE = 0.1
-USUAL_S = 15.0
-"""Time constant over which the usual bend is learned [s]."""
-SHORT_S = 1.2
-MEMORY_S = 1.3
-"""Longest time between two bends of a burst [s]."""
-MIN_BENDS = 3
 
 
 class Sample(NamedTuple):

@@ -17,6 +17,18 @@ from engine.motion.breathing.turning_points import FALLING, RISING, TurningPoint
 MIN_SPEED_MM_S = 0.1
 MAX_PATH = 300
 """Half a minute at ten points per second, longer than any breath."""
+EARLY_OR_LATE = 7.0
+"""Tolerance of the phase when the level is compared with it [% of a breath]; regular breathing stays within 5."""
+LEVEL_SHARE = 0.1
+LEVEL_MM = 0.3
+"""Tolerance of the level: a share of a usual breath, plus an allowance for heartbeat and noise [mm]."""
+LEAST_ADVANCE = 0.6
+MOST_ADVANCE = 1.7
+"""Bounds of an inhale's advance, as shares of a usual one's advance at that phase."""
+WAY_S = 0.25
+LEAST_WAY = 0.35
+WAY_OFF = 5.0
+"""Time over which the motion is compared [s], its least share of the usual motion, and the phase tolerance [%]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,20 +104,6 @@ def _completed(current: CurrentBreath, turns: TurningPoints) -> Cycle | None:
         speed=max(current.speed, MIN_SPEED_MM_S) / rise,
         shape=shape,
     )
-
-
-EARLY_OR_LATE = 7.0
-"""Tolerance of the phase when the level is compared with it [% of a breath]; regular breathing stays within 5."""
-LEVEL_SHARE = 0.1
-LEVEL_MM = 0.3
-"""Tolerance of the level: a share of a usual breath, plus an allowance for heartbeat and noise [mm]."""
-LEAST_ADVANCE = 0.6
-MOST_ADVANCE = 1.7
-"""Bounds of an inhale's advance, as shares of a usual one's advance at that phase."""
-WAY_S = 0.25
-LEAST_WAY = 0.35
-WAY_OFF = 5.0
-"""Time over which the motion is compared [s], its least share of the usual motion, and the phase tolerance [%]."""
 
 
 class ExpectedPosition(NamedTuple):

@@ -24,6 +24,21 @@ WAIT_FOR_NONE = 25.0
 """Largest delay of the signal with a phase [% of a breath]."""
 ERROR_SCALE = 14.0
 SPREAD_SCALE = 0.30
+AFTER_GAP = say("not measured for a moment")
+NOT_MEASURED = say("not measured")
+HELD = "held"
+LATE = say("the breath is late")
+ELSEWHERE = say("the level does not match the phase")
+DRIFTED = say("the baseline has drifted")
+APNOEA = "apnoea"
+US_PER_S = 1e6
+RATE_SPREAD = 0.35
+SURE_REGULARITY = 0.8
+DRIFT_SHARE = 1.0 / 3.0
+MIN_DRIFT_MM = 2.0
+MAX_DRIFT_MM = 5.0
+"""Largest drift with a phase, as a share of a usual breath and within these bounds [mm]: the phase does not limit the
+position, and such a drift is as large as the motion within a usual window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,23 +112,6 @@ def confidence_of(track: PhaseTrack, habit: BreathingHabit) -> float:
 
 def _running(track: PhaseTrack, habit: BreathingHabit, now_s: float) -> float:
     return track.anchor + 100.0 * (now_s - track.anchor_s) / habit.period_s
-
-
-AFTER_GAP = say("not measured for a moment")
-NOT_MEASURED = say("not measured")
-HELD = "held"
-LATE = say("the breath is late")
-ELSEWHERE = say("the level does not match the phase")
-DRIFTED = say("the baseline has drifted")
-APNOEA = "apnoea"
-US_PER_S = 1e6
-RATE_SPREAD = 0.35
-SURE_REGULARITY = 0.8
-DRIFT_SHARE = 1.0 / 3.0
-MIN_DRIFT_MM = 2.0
-MAX_DRIFT_MM = 5.0
-"""Largest drift with a phase, as a share of a usual breath and within these bounds [mm]: the phase does not limit the
-position, and such a drift is as large as the motion within a usual window."""
 
 
 def breath_of(

@@ -9,6 +9,12 @@ from dataclasses import dataclass
 from engine.core.replacing import replace
 
 RISING, FALLING, UNKNOWN = 1, -1, 0
+BIN_S = 0.1
+LEVEL_BINS = 6
+"""The level is the mean over this many bins, about one heartbeat, which it averages out."""
+SPEED_BINS = 3
+STILL_SHARE = 0.2
+MIN_STILL_MM = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,14 +53,6 @@ def follow_turns(turns: TurningPoints, seconds: float, value: float, threshold: 
     if turns.direction != FALLING and turns.high - value > threshold:
         return replace(turns, direction=FALLING, low=value, low_s=seconds, turned_s=seconds), True
     return turns, False
-
-
-BIN_S = 0.1
-LEVEL_BINS = 6
-"""The level is the mean over this many bins, about one heartbeat, which it averages out."""
-SPEED_BINS = 3
-STILL_SHARE = 0.2
-MIN_STILL_MM = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

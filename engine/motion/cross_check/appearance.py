@@ -43,6 +43,8 @@ _LEAST_OBJECT = np.ones((4, 4), dtype=np.uint8)
 """Four centimetres, of a region of 35 by 20 cm."""
 
 Chroma = npt.NDArray[np.float32]
+_X, _Y = np.meshgrid(4.0 * np.arange(CELL_COLUMNS) + 1.5, 4.0 * np.arange(CELL_ROWS) + 1.5)
+_MIDDLES_PX = np.stack([_X.ravel(), _Y.ravel()], axis=1).astype(np.float32)
 
 
 class Brightness(NamedTuple):
@@ -53,8 +55,6 @@ class Brightness(NamedTuple):
 
 
 DARK = Brightness(frozen(np.zeros(CELL_ROWS * CELL_COLUMNS)), 0.0)
-_X, _Y = np.meshgrid(4.0 * np.arange(CELL_COLUMNS) + 1.5, 4.0 * np.arange(CELL_ROWS) + 1.5)
-_MIDDLES_PX = np.stack([_X.ravel(), _Y.ravel()], axis=1).astype(np.float32)
 
 
 def brightness_of(color: ColorImage, markers_px: FloatArray) -> Brightness:

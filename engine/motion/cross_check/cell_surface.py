@@ -31,6 +31,8 @@ LEAST_FRAMES = 60
 """Fewest frames to learn the shapes from: two seconds."""
 AVERAGED_FRAMES = 3
 """Consecutive frames averaged for the usual misfit: the fewest that are compared, at 15 frames a second."""
+_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) * CELL_ROWS // ROI_ROWS
+_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) * CELL_COLUMNS // ROI_COLUMNS
 
 
 class SurfaceChange(NamedTuple):
@@ -230,8 +232,6 @@ def _sums() -> tuple[FloatArray, FloatArray]:
     )
 
 
-_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) * CELL_ROWS // ROI_ROWS
-_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) * CELL_COLUMNS // ROI_COLUMNS
 _ROWS, _COLUMNS = _sums()
 _ALL = np.ones((_ROWS.shape[1], _COLUMNS.shape[0]), dtype=np.bool_)
 _LEAST_SEEN = LEAST_SEEN * (_ROWS @ _ALL @ _COLUMNS)

@@ -18,6 +18,8 @@ import numpy as np
 from engine.calibration.camera_calibration import Calibration
 from engine.core.compiled import kernels
 from engine.core.frames import (
+    ROI_COLUMNS,
+    ROI_ROWS,
     BodyPosition,
     ColorImage,
     Evidence,
@@ -56,6 +58,7 @@ from engine.motion.cross_check.cell_surface import (
     cell_means,
     shapes_of,
 )
+from engine.motion.cross_check.present_noise import PresentNoise
 from engine.motion.cross_check.static_scene import StaticScene
 
 AVERAGED_US = 200_000
@@ -141,6 +144,7 @@ class CrossCheck:
         self._newest_color: tuple[ColorImage, FloatArray] | None = None
         self.position: BodyPosition | None = None
         self.evidence: Evidence | None = None
+        self.noise = PresentNoise(math.sqrt(ROI_ROWS * ROI_COLUMNS / CELLS))
 
     def restart(self) -> None:
         """Forget the reference: camera or patient may have moved."""
@@ -189,6 +193,7 @@ class CrossCheck:
         if in_depth_camera is not None:
             scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
         self._newest_color = (frame.color, found.centers_px)
+        self.noise.add(cells_mm, now_us)
         recent.append(
             _Observed(
                 timestamp_us=now_us,
@@ -317,7 +322,8 @@ class CrossCheck:
             return self._disagreements.get("surface")
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
         self.position = self._position(change, deeper_mm)
-        allowed_mm = min(max(MISFIT_OF_USUAL * shapes.misfit_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
+        usual_mm = shapes.misfit_mm * self._less_noise()
+        allowed_mm = min(max(MISFIT_OF_USUAL * usual_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
         allowed_mm = math.hypot(allowed_mm, MISFIT_OF_REDISTRIBUTED * change.redistributed_mm)
         if "surface" not in self._disagreements:
             allowed_mm += MISFIT_OF_DEEPER * deeper_mm
@@ -333,6 +339,11 @@ class CrossCheck:
             advice=ADVICE,
         )
         return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
+
+    def _less_noise(self) -> float:
+        """Return the share of the training's noise that there is now, 1 at most: its misfit was that of more noise."""
+        share = math.nan if self._model is None else self.noise.share_of(self._model.noise_mm)
+        return share if share < 1.0 else 1.0
 
     def _position(self, change: SurfaceChange, deeper_mm: float) -> BodyPosition:
         """Return the rigid part of a change; within a deeper breath only what such a breath does not explain."""

@@ -43,6 +43,7 @@ STANDS_SHARE = 0.4
 ROUNDS = 3
 NAMED_MM = 1.0
 """A movement from which it is asked what has moved."""
+_INLIERS_MM = np.array([-INLIER_MM, INLIER_MM])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,9 +54,6 @@ class _Reference:
     depth_mm: FloatArray
     terms: FloatArray
     weights: FloatArray
-
-
-_INLIERS_MM = np.array([-INLIER_MM, INLIER_MM])
 
 
 class _Layer(NamedTuple):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import FloatArray, Motion
-from engine.core.learning_status import LearningEvent, LearningStatus, PatientMatch
+from engine.core.learning_status import LearningEvent, LearningEventKind, LearningStatus, PatientMatch
 from engine.core.motion_model import MotionModel
 from engine.core.reference import ReferenceDistance, ReferenceMoment
 from engine.core.sentences import say
@@ -87,7 +87,6 @@ class Learner:
             patient_match=self.models.patient_match,
             position_check=reference.position_check if reference.is_set else None,
             is_position_required=self.history.has_plan,
-            is_fraction_continued=self.history.is_continued,
         )
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
@@ -151,6 +150,17 @@ class Learner:
         """Restart after the camera was disconnected; an operator has to set the reference. See `ModelLifecycle`."""
         self.history.lose_camera()
         self.models.restart()
+
+    def drop_cold_reference(self) -> None:
+        """Drop the reference, which a cold camera measured; its distance from others is not known either."""
+        if self.reference.current is None:
+            return
+        self.history.doubt_first()
+        self.reference.drop()
+        self.reference.is_needed = True
+        self.journal.change()
+        detail = say("the camera is warm now, and the reference was set while its readings drifted: set it again")
+        self.journal.emit(LearningEventKind.ZERO_NEEDED, detail)
 
     def use(self, learned: Learned) -> None:
         """Use what another learner has learned from the same frames; learn nothing."""

@@ -105,6 +105,7 @@ class LearningSetup:
     settings: TrainingSettings
     match_limits: PatientMatchLimits
     stages: LearningStages
+    most_noise_mm: float | None = None
 
 
 class ModelLifecycle:
@@ -155,6 +156,14 @@ class ModelLifecycle:
             return None
         if self._comparison is not Comparison.NONE:
             return COMPARING
+        noise_mm, most_mm = self.active.model.noise_mm, self.setup.most_noise_mm
+        if most_mm is not None and noise_mm > most_mm:
+            return say(
+                "the camera's readings had {noise_mm:.0f} mm of noise in the training, and a camera of its kind has at "
+                "most {most_mm:.0f}: look for the sun or a second projector, then train again",
+                noise_mm=noise_mm,
+                most_mm=most_mm,
+            )
         cycles, needed = self.active.model.cycles, self.setup.settings.min_cycles
         if cycles >= needed:
             return None

@@ -31,6 +31,8 @@ STEP_US = 100_000
 STILL_MM = 4.0
 STILL_DEG = 2.0
 """Largest shift and rotation of the region from the stretch's first frame; breathing alone makes half of that."""
+FOLLOWED_AT_ONCE = 3
+"""Past frames that are measured with a live one: each takes about a millisecond, and ten a second arrive."""
 
 
 class Place(NamedTuple):
@@ -102,10 +104,6 @@ def mean_depth_mm(roi: RoiDepth) -> float:
         mean_mm: float = compiled.mean_depth(np.ascontiguousarray(roi.depth_mm), np.ascontiguousarray(roi.valid))
         return mean_mm
     return float(roi.depth_mm[roi.valid].mean(dtype=np.float64)) if roi.valid.any() else math.nan
-
-
-FOLLOWED_AT_ONCE = 3
-"""Past frames that are measured with a live one: each takes about a millisecond, and ten a second arrive."""
 
 
 class Stretch(NamedTuple):

@@ -18,6 +18,16 @@ from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_transfer import Explain
 from engine.motion.learning.training_set import TrainingFrame, Vertices, mean_surface
 
+PATIENT_MATCH_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "seconds": (0.5, 20.0),
+    "max_shift_mm": (1.0, 200.0),
+    "max_tilt_deg": (0.5, 45.0),
+    "max_shape_mm": (0.5, 30.0),
+    "max_residual_mm": (0.1, 20.0),
+    "min_explained_share": (0.1, 1.0),
+}
+"""Lowest and highest value of each limit."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatientMatchLimits:
@@ -47,17 +57,6 @@ class PatientMatchLimits:
     def __post_init__(self) -> None:
         """Check every number against its bounds; raise InvalidValueError."""
         check_numbers(self, PATIENT_MATCH_BOUNDS)
-
-
-PATIENT_MATCH_BOUNDS: Mapping[str, tuple[float, float]] = {
-    "seconds": (0.5, 20.0),
-    "max_shift_mm": (1.0, 200.0),
-    "max_tilt_deg": (0.5, 45.0),
-    "max_shape_mm": (0.5, 30.0),
-    "max_residual_mm": (0.1, 20.0),
-    "min_explained_share": (0.1, 1.0),
-}
-"""Lowest and highest value of each limit."""
 
 
 def compare_with_patient(

@@ -18,6 +18,26 @@ import numpy as np
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray
 
 MIN_POINTS = 12
+ROWS, COLUMNS = NODE_ROWS - 1, NODE_COLUMNS - 1
+"""The last row and column of nodes repeat the depth of the last pixels; they are left out."""
+MARKER_PLACEMENT_MM = 5.0
+"""How exactly markers are put back on bare skin; on tattoos it is 1 to 2 mm."""
+SURFACE_MM = 0.4
+"""Least standard deviation of the distance between two surfaces of one body [mm]: sensor, model and end of exhale."""
+PATCH_MM = 50.0
+"""Errors of the surface within this distance are alike: so many nodes count as one."""
+LEAST_SHARE = 0.6
+"""Least share of the nodes that must lie over the second surface."""
+FOOT_STEPS = 2
+ROUNDS = 15
+CHOOSING_ROUNDS = 4
+"""Rounds in which the nodes over the other surface are chosen; then they stay, so that the solution settles."""
+RIM = 0.1
+"""How far nodes may lie over the second surface's rim [nodes]: there the distance along its normal is still known."""
+CONVERGED = 1e-2
+"""Largest step [mm, and mm at 100 mm from the middle] of a solution."""
+LEVER_MM = 100.0
+_CORNERS = (0, COLUMNS - 1, (ROWS - 1) * COLUMNS, ROWS * COLUMNS - 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,28 +101,6 @@ def rigid_between(first: FloatArray, second: FloatArray) -> RigidFit | None:
         rotation=rotation,
         share=float(both.mean()),
     )
-
-
-ROWS, COLUMNS = NODE_ROWS - 1, NODE_COLUMNS - 1
-"""The last row and column of nodes repeat the depth of the last pixels; they are left out."""
-MARKER_PLACEMENT_MM = 5.0
-"""How exactly markers are put back on bare skin; on tattoos it is 1 to 2 mm."""
-SURFACE_MM = 0.4
-"""Least standard deviation of the distance between two surfaces of one body [mm]: sensor, model and end of exhale."""
-PATCH_MM = 50.0
-"""Errors of the surface within this distance are alike: so many nodes count as one."""
-LEAST_SHARE = 0.6
-"""Least share of the nodes that must lie over the second surface."""
-FOOT_STEPS = 2
-ROUNDS = 15
-CHOOSING_ROUNDS = 4
-"""Rounds in which the nodes over the other surface are chosen; then they stay, so that the solution settles."""
-RIM = 0.1
-"""How far nodes may lie over the second surface's rim [nodes]: there the distance along its normal is still known."""
-CONVERGED = 1e-2
-"""Largest step [mm, and mm at 100 mm from the middle] of a solution."""
-LEVER_MM = 100.0
-_CORNERS = (0, COLUMNS - 1, (ROWS - 1) * COLUMNS, ROWS * COLUMNS - 1)
 
 
 class PositionFit(NamedTuple):

@@ -32,6 +32,17 @@ from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.surface import grid_triangles, vertices_mm, volume_l
 
 MIN_SEEN_SHARE = 0.5
+LEAST_SEEN = 0.9
+"""Least share of the surface's nodes that both references need."""
+AWAY = say("the camera was disconnected since")
+COLD = say("it was measured while the camera was cold")
+OTHER_CAMERA = say("it was measured with another calibration")
+OTHER_REGIONS = say("it was measured with other regions")
+NOT_MEASURED = say("the patient is not measured at present")
+TOO_LITTLE = say("too little of the surface is known")
+NO_MOMENT = say("the plan's position does not name the moment of the breath that it was set at")
+NO_OVERLAP = say("too little of both surfaces is known, or they do not overlap")
+_TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
 
 
 def learned_levels(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> LearnedLevels:
@@ -93,19 +104,6 @@ def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
     return regions.cells + (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN).index(GateSignal(choice.signal))
 
 
-LEAST_SEEN = 0.9
-"""Least share of the surface's nodes that both references need."""
-AWAY = say("the camera was disconnected since")
-OTHER_CAMERA = say("it was measured with another calibration")
-OTHER_REGIONS = say("it was measured with other regions")
-NOT_MEASURED = say("the patient is not measured at present")
-TOO_LITTLE = say("too little of the surface is known")
-NO_MOMENT = say("the plan's position does not name the moment of the breath that it was set at")
-NO_OVERLAP = say("too little of both surfaces is known, or they do not overlap")
-
-_TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
-
-
 class Confirmed(NamedTuple):
     """A reference that was taken up: its distance from the first, and the first if this is it."""
 
@@ -144,11 +142,11 @@ class ReferenceHistory:
         self._plan: FirstReference | None = None
         self._unknown = ""
         self._is_camera_lost = False
-        self.is_continued = False
+        self._is_first_ours = False
 
     def restore(self, first: FirstReference) -> None:
         """Continue a fraction whose first reference was confirmed in an earlier session."""
-        self._first, self.is_continued = first, True
+        self._first = first
         if first.calibration_sha256 != self._calibration_sha256:
             self._unknown = OTHER_CAMERA
         elif first.layout_sha256 != self._layout_sha256:
@@ -209,6 +207,11 @@ class ReferenceHistory:
         if self._first is not None:
             self._unknown = self._unknown or AWAY
 
+    def doubt_first(self) -> None:
+        """Note that this session's first reference was measured by a cold camera; one of before is as it was."""
+        if self._is_first_ours:
+            self._unknown = self._unknown or COLD
+
     def transfer(self, transfer: ReferenceTransfer) -> None:
         """Correct the first reference for the other biases of another model, as the reference in use is."""
         first = self._first
@@ -225,6 +228,7 @@ class ReferenceHistory:
         distance = self.distance(active, reference)
         if distance is not None:
             return Confirmed(distance, None)
+        self._is_first_ours = True
         self._first = FirstReference(
             calibration_sha256=self._calibration_sha256,
             layout_sha256=self._layout_sha256,

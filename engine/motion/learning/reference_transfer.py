@@ -35,6 +35,11 @@ Explain = Callable[[PreparedModel, RoiDepth, FloatArray | None], Projection | No
 """Projects a region on a model, starting from coefficients; None if the model does not explain it well enough."""
 
 _TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
+FRAMES = 15
+WINDOW_US = 500_000  # over a longer time a breath is not a parabola
+MIN_FRAMES = 7
+MAX_GAP_US = 100_000
+DEGREE = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,13 +163,6 @@ def _correction_mm(before: PreparedModel, after: PreparedModel, difference: Floa
     both = before.regions.is_known[:cells] & after.regions.is_known[:cells]
     known = np.abs(difference[:cells][both])
     return float(max(wide, np.percentile(known, CELLS_PERCENTILE) if known.size else 0.0))
-
-
-FRAMES = 15
-WINDOW_US = 500_000  # over a longer time a breath is not a parabola
-MIN_FRAMES = 7
-MAX_GAP_US = 100_000
-DEGREE = 2
 
 
 class Smoothed(NamedTuple):

@@ -16,6 +16,25 @@ from engine.core.errors import InvalidValueError, ModelError, TrainingFailedErro
 from engine.core.native_process import give_freed_memory_back
 from engine.core.sentences import say
 
+SHORTEST_INTERVAL_S = 10.0
+TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "min_frames": (20, 1000),
+    "min_cycles": (0, 50),
+    "min_seconds": (0.0, 300.0),
+    "max_seconds": (0.5, 600.0),
+    "max_frames": (40, 2000),
+    "components": (1, 10),
+    "refit_until_s": (0.0, 600.0),
+    "retrain_interval_s": (0.0, 14_400.0),
+    "min_amplitude_mm": (0.2, 10.0),
+    "max_shift_mm": (0.5, 50.0),
+    "max_tilt_deg": (0.2, 20.0),
+    "max_outlier_share": (0.0, 0.5),
+    "max_carry_mm": (0.1, 5.0),
+}
+"""Lowest and highest value of each setting."""
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
@@ -71,28 +90,6 @@ class TrainingSettings:
         if self.max_frames < 2 * self.min_frames:  # thinning halves the set
             bound = f"at least twice min_frames ({2 * self.min_frames})"
             raise InvalidValueError("max_frames", self.max_frames, bound)
-
-
-SHORTEST_INTERVAL_S = 10.0
-TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
-    "min_frames": (20, 1000),
-    "min_cycles": (0, 50),
-    "min_seconds": (0.0, 300.0),
-    "max_seconds": (0.5, 600.0),
-    "max_frames": (40, 2000),
-    "components": (1, 10),
-    "refit_until_s": (0.0, 600.0),
-    "retrain_interval_s": (0.0, 14_400.0),
-    "min_amplitude_mm": (0.2, 10.0),
-    "max_shift_mm": (0.5, 50.0),
-    "max_tilt_deg": (0.2, 20.0),
-    "max_outlier_share": (0.0, 0.5),
-    "max_carry_mm": (0.1, 5.0),
-}
-"""Lowest and highest value of each setting."""
-
-
-T = TypeVar("T")
 
 
 class Trainer(Protocol[T]):

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.core.motion_model import MotionModel
+from engine.core.replacing import replace
 
 STRIDE_PX = 4  # every fourth row and column is as accurate as every one: the noise is correlated over nine pixels
 SAMPLED_SHAPE = (-(-ROI_ROWS // STRIDE_PX), -(-ROI_COLUMNS // STRIDE_PX))
@@ -48,6 +49,15 @@ USUAL_CELL_NOISE_MM, MOST_CELL_NOISE_MM = 0.3, 0.9
 LARGEST_OF_CELLS = 7.0
 # Limits the effect of a single jump on a cell's mean misfit; a hand shifts all readings of a cell.
 CHECK_CLIP_MM = np.float32(12.0)
+_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
+_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
+_LIMITS = np.array(
+    [
+        *(OUTLIER_MM, INLIER_MM, CONVERGED_MM, SMALL_STEP_MM, MAX_OUTLIERS_UNNOTICED, MIN_SEEN_SHARE),
+        *(MIN_EXPLAINED_SHARE, MIN_SLOPE, CHECK_CLIP_MM),
+    ],
+    dtype=np.float64,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +85,8 @@ class Basis:
         Largest motion that a unit of each coefficient makes anywhere [mm], shape (k + e,).
     known_gram
         Products of the modes over all known pixels, shape (k + e, k + e), float64.
-    noise_residual_mm
-        What the noise of this sensor adds to the residual of a usual one [mm].
+    noise_mm
+        The noise of the training, as in `engine.core.motion_model.MotionModel` [mm].
     """
 
     components: int
@@ -91,7 +101,7 @@ class Basis:
     variance_mm2: float
     reach: FloatArray
     known_gram: FloatArray
-    noise_residual_mm: float
+    noise_mm: float
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -146,17 +156,17 @@ def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
         variance_mm2=variance_mm2,
         reach=np.abs(sampled).max(axis=1).astype(np.float64),
         known_gram=exact @ exact.T,
-        noise_residual_mm=_noise_residual_mm(model.noise_mm),
+        noise_mm=model.noise_mm,
     )
 
 
-def _noise_residual_mm(noise_mm: float) -> float:
-    """Return what noise beyond the usual adds to the largest mean misfit of a cell [mm]."""
+def noise_residual_mm(noise_mm: float) -> float:
+    """Return what noise beyond the usual adds to the largest mean misfit of a cell [mm]; at most 4.2."""
     cell_mm = min(noise_mm / CHECK_CELL_PX, MOST_CELL_NOISE_MM)
     return LARGEST_OF_CELLS * max(cell_mm - USUAL_CELL_NOISE_MM, 0.0)
 
 
-def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
+def project(basis: Basis, roi: RoiDepth, start: FloatArray | None, noise_mm: float | None = None) -> Projection | None:
     """Find the coefficients of one frame.
 
     Parameters
@@ -164,13 +174,24 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     start
         Coefficients of the frame before, shape (k + e,), where there is one: a hand that just came in is then an
         outlier from its first frame.
+    noise_mm
+        The camera's noise now, where it is known [mm]: what it adds to the residual is taken off. That of the training
+        otherwise.
 
     Returns
     -------
     Projection | None
         None when nothing of the region was seen, or nothing of it follows from what was seen.
     """
-    thin = roi.thinned(STRIDE_PX)
+    found = _projected(basis, roi.thinned(STRIDE_PX), start)
+    added_mm = noise_residual_mm(basis.noise_mm if noise_mm is None else noise_mm)
+    if found is None or added_mm == 0.0:
+        return found
+    return replace(found, residual_mm=max(found.residual_mm - added_mm, 0.0))
+
+
+def _projected(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
+    """Find the coefficients; the residual is that of the readings, with all of their noise."""
     if kernels() is None:
         return _project_or_none(basis, thin, start)
     coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
@@ -183,7 +204,7 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
-        residual_mm=max(residual_mm - basis.noise_residual_mm, 0.0),
+        residual_mm=residual_mm,
         valid_share=seen / max(known, 1.0),
         inlier_share=inliers / seen,
         is_seen=is_seen,
@@ -244,7 +265,7 @@ def _project(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projecti
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
-        residual_mm=max(_largest_cell_misfit(misfit, inside) - basis.noise_residual_mm, 0.0),
+        residual_mm=_largest_cell_misfit(misfit, inside),
         valid_share=seen / max(int(np.count_nonzero(basis.sampled_known)), 1),
         inlier_share=int(np.count_nonzero(is_seen)) / seen,
         is_seen=is_seen.reshape(SAMPLED_SHAPE),
@@ -359,10 +380,6 @@ def _ratio(misfit: FloatArray) -> FloatArray:
     return ratio
 
 
-_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
-_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
-
-
 def _cell_sums() -> tuple[FloatArray, FloatArray]:
     rows, columns = _CELL_OF_ROW, _CELL_OF_COLUMN
     return (
@@ -374,13 +391,6 @@ def _cell_sums() -> tuple[FloatArray, FloatArray]:
 _SUM_ROWS, _SUM_COLUMNS = _cell_sums()
 _CELL_PIXELS = _SUM_ROWS.sum(axis=1)[:, None] * _SUM_COLUMNS.sum(axis=0)
 _MIN_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS.astype(np.float64)
-_LIMITS = np.array(
-    [
-        *(OUTLIER_MM, INLIER_MM, CONVERGED_MM, SMALL_STEP_MM, MAX_OUTLIERS_UNNOTICED, MIN_SEEN_SHARE),
-        *(MIN_EXPLAINED_SHARE, MIN_SLOPE, CHECK_CLIP_MM),
-    ],
-    dtype=np.float64,
-)
 
 
 def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:

@@ -39,6 +39,10 @@ MIN_VALID_WEIGHT = 0.5
 MIN_WHOLLY_VALID_SHARE = 0.8
 # Replaces the zero determinant of three collinear markers; the resulting region lies outside of any picture.
 DEGENERATE = 1e-9
+_NODES = np.stack(np.meshgrid(np.arange(NODE_COLUMNS) * NODE_STEP, np.arange(NODE_ROWS) * NODE_STEP), axis=-1).astype(
+    np.float64
+)
+_NODES_FLAT = _NODES.reshape(-1, 2)
 
 
 def _hat_weights(size: int) -> FloatArray:
@@ -49,10 +53,6 @@ def _hat_weights(size: int) -> FloatArray:
 
 _ROW_WEIGHTS = _hat_weights(ROI_ROWS)
 _COLUMN_WEIGHTS = _hat_weights(ROI_COLUMNS)
-_NODES = np.stack(np.meshgrid(np.arange(NODE_COLUMNS) * NODE_STEP, np.arange(NODE_ROWS) * NODE_STEP), axis=-1).astype(
-    np.float64
-)
-_NODES_FLAT = _NODES.reshape(-1, 2)
 
 
 def color_from_roi(centers_px: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ SIDE_PX = 35.0
 MIN_FROM_END_PX = 35.0
 MIN_PICTURES = 5
 MIN_SHARE = 0.5
+SEARCH_EVERY_FRAMES = 10
 
 
 def split_between(centers_rc: FloatArray) -> tuple[float, float]:
@@ -62,9 +63,6 @@ def agreed_split(splits: list[tuple[float, float] | None]) -> tuple[float, float
         return None
     right, left = np.median(np.array(found), axis=0).tolist()
     return right, left
-
-
-SEARCH_EVERY_FRAMES = 10
 
 
 class CostalLineTracker:

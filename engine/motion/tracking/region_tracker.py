@@ -33,6 +33,8 @@ from engine.motion.stages.roi import Aligned, align, at_nodes, cut_out, roi_node
 
 # This many pictures contain the depth levels of the region.
 COUNTED_FRAMES = 12
+ROUNDS_AT_FIRST = 3
+FOLLOWED_SHARE = 0.3
 
 
 class DepthTable:
@@ -63,10 +65,6 @@ class DepthTable:
         if correction is None:
             return table_mm
         return frozen((table_mm * correction.scale + correction.offset_mm).astype(np.float32))
-
-
-ROUNDS_AT_FIRST = 3
-FOLLOWED_SHARE = 0.3
 
 
 class RegionTracker:

@@ -41,6 +41,14 @@ MOVED_PX = 5.0
 CALM_US = 1_000_000
 # Share of a change that a plane may leave when the patient moves as a whole; a sheet over one side leaves half.
 BENT_SHARE = 0.3
+PAIRS = tuple(itertools.combinations(range(4), 2))
+MARGIN_MM = 3.0
+"""How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
+CORNER_PX = 20
+LEAST_READINGS = 9
+Distances = tuple[float, ...]
+LEAST_RESCALED = 0.01
+"""Least change of all distances by one factor that is named as such."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,15 +179,6 @@ def _planes() -> FloatArray:
 _PLANES = _planes()
 
 
-PAIRS = tuple(itertools.combinations(range(4), 2))
-MARGIN_MM = 3.0
-"""How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
-
-CORNER_PX = 20
-LEAST_READINGS = 9
-Distances = tuple[float, ...]
-
-
 def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
     """Return the markers' places [mm], shape (4, 3): their rays, shape (4, 3), at the depth of the skin beside them.
 
@@ -210,10 +209,6 @@ def _medians_mm(roi: RoiDepth, reach: int) -> FloatArray | None:
             return None
         depths_mm.append(float(np.median(readings)))
     return np.array(depths_mm)
-
-
-LEAST_RESCALED = 0.01
-"""Least change of all distances by one factor that is named as such."""
 
 
 class MarkerLayout:

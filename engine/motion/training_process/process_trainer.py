@@ -26,8 +26,6 @@ from engine.motion.training_process.server import (
     write_value,
 )
 
-# The engine's side of a training process: hands it a job, waits for its report, and reads the answer.
-
 T = TypeVar("T")
 
 PATIENCE_S = 60.0
@@ -40,8 +38,11 @@ CODE = Path(__file__).parents[3]
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """So that numpy starts no threads, which would only wait and could not be forked."""
 AGAIN = "the model in use stays as it is; train again"
+IDLE_S = 60.0
+"""Longer than between a first model and its refits."""
 
 
+# The engine's side of a training process: hands it a job, waits for its report, and reads the answer.
 class _SilentError(Exception):
     """The training process did not report in time, or has ended."""
 
@@ -171,10 +172,6 @@ def _memory_file() -> Iterator[int]:
 def _cause(status: int) -> str:
     code = os.waitstatus_to_exitcode(status)
     return f"was killed (signal {-code})" if code < 0 else f"failed (status {code})"
-
-
-IDLE_S = 60.0
-"""Longer than between a first model and its refits."""
 
 
 class ProcessTrainer(OneJobAtATime[T]):

@@ -40,6 +40,13 @@ _LENGTH = struct.Struct("<Q")
 _MARK = b"tdgvalue"
 _PARTS_AT_ONCE = 1000
 """Below the system's limit of buffers in one call, 1024."""
+REQUEST = struct.Struct("<q")
+"""The number of a job; the memory files of its request and of its answer come with the message."""
+REPORT = struct.Struct("<qqq")
+"""The number of a job, the id of its process, and that one's exit status, `RUNNING` when it has started."""
+RUNNING = -1
+FAILED = 1
+_FIRST_TO_DIE = b"1000"
 
 
 class SharedValueError(TidegateError):
@@ -117,15 +124,6 @@ def read_value(file: int) -> object:
 
 def _aligned(at: int) -> int:
     return at + -at % ALIGNMENT
-
-
-REQUEST = struct.Struct("<q")
-"""The number of a job; the memory files of its request and of its answer come with the message."""
-REPORT = struct.Struct("<qqq")
-"""The number of a job, the id of its process, and that one's exit status, `RUNNING` when it has started."""
-RUNNING = -1
-FAILED = 1
-_FIRST_TO_DIE = b"1000"
 
 
 class Refusal:

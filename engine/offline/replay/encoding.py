@@ -33,6 +33,18 @@ from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings
 
+_UNDECODABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
+_TAPE_NAMES: dict[type, str] = {PatientMatchLimits: "LikenessLimits"}
+"""Classes that were renamed: tapes keep the name from when they were first written."""
+_INPUTS = (TurnInputs, CommandInputs, FrameInput, DecisionInputs, LineAnswer)
+"""Several are on each turn of a tape, mostly with defaults, which are omitted."""
+_ENUMS: dict[str, type[enum.Enum]] = {
+    known.__name__: known
+    for known in (
+        *(BreathEventKind, GateSignal, GateState, HeadDirection, HoldReason, HoldKind, Join, ReferenceMoment, Unit),
+    )
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameHead:
@@ -110,11 +122,6 @@ def kept_of(kind: InputKind, value: Any) -> Any:  # noqa: ANN401 - any reading
     return value
 
 
-_UNDECODABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
-_TAPE_NAMES: dict[type, str] = {PatientMatchLimits: "LikenessLimits"}
-"""Classes that were renamed: tapes keep the name from when they were first written."""
-_INPUTS = (TurnInputs, CommandInputs, FrameInput, DecisionInputs, LineAnswer)
-"""Several are on each turn of a tape, mostly with defaults, which are omitted."""
 _CLASSES: dict[str, type] = {
     _TAPE_NAMES.get(known, known.__name__): known
     for known in (
@@ -129,12 +136,6 @@ _CLASSES: dict[str, type] = {
         ),
         *(PipelineSettings, TrainingSettings, PatientMatchLimits, NamedRegion, SourceDescription, Interruption),
         *(FrameHead, Raised, *_INPUTS),
-    )
-}
-_ENUMS: dict[str, type[enum.Enum]] = {
-    known.__name__: known
-    for known in (
-        *(BreathEventKind, GateSignal, GateState, HeadDirection, HoldReason, HoldKind, Join, ReferenceMoment, Unit),
     )
 }
 

@@ -7,13 +7,14 @@ from typing import Any
 from engine import __version__
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import InvalidValueError, RecordingError
+from engine.core.fraction_arming import FractionArming, read_fraction_arming
 from engine.core.motion_model import MotionModel
 from engine.core.reference import FirstReference, read_first_reference
 from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 13
+METHOD = 14
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 
@@ -39,6 +40,8 @@ class TapeHeader:
         The stored model it started with; None where it learned one.
     first_reference
         That of an earlier session of the same fraction; None where there was none.
+    fraction_arming
+        What earlier sessions of the fraction were armed with; None where it was not armed.
     plan_position
         The first reference of the plan's first fraction; None in that fraction.
     software, machine
@@ -55,6 +58,7 @@ class TapeHeader:
     model: MotionModel | None
     first_reference: FirstReference | None = None
     plan_position: FirstReference | None = None
+    fraction_arming: FractionArming | None = None
     frames: Frames
     software: str
     machine: dict[str, str]
@@ -70,6 +74,7 @@ class TapeHeader:
             "model": encoding.encode(self.model),
             "first_reference": None if self.first_reference is None else self.first_reference.to_json(),
             "plan_position": None if self.plan_position is None else self.plan_position.to_json(),
+            "fraction_arming": None if self.fraction_arming is None else self.fraction_arming.to_json(),
             "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
             "software": self.software,
             "machine": self.machine,
@@ -90,6 +95,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
         first, position = encoded["first_reference"], encoded["plan_position"]
+        arming = encoded.get("fraction_arming")  # tapes of before method 14 have none
         return TapeHeader(
             session_id=encoded["session_id"],
             limits=encoding.decode(encoded["limits"]),
@@ -98,6 +104,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
             model=encoding.decode(encoded["model"]),
             first_reference=None if first is None else read_first_reference(first),
             plan_position=None if position is None else read_first_reference(position),
+            fraction_arming=None if arming is None else read_fraction_arming(arming),
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
             software=encoded["software"],
             machine=machine,

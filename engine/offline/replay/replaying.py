@@ -29,15 +29,14 @@ from engine.offline.replay.recording_tap import TappedTrainer
 from engine.offline.replay.replaying_tap import Difference, ReplayEnded, ReplayingTap
 from engine.offline.replay.tape_file import Tape, read_tape
 
-# Finds a frame's pictures in a recording by the frame's entry on the tape; forward only, in the order of the frames.
-#
-# A depth picture is found by its number in the file, its colour picture by its time: of several with that time, the
-# last one before the depth picture, because a raw recording is written in that order.
-
 LOOK_AHEAD = 256
 COLORS_KEPT = 64
 
 
+# Finds a frame's pictures in a recording by the frame's entry on the tape; forward only, in the order of the frames.
+#
+# A depth picture is found by its number in the file, its colour picture by its time: of several with that time, the
+# last one before the depth picture, because a raw recording is written in that order.
 class Pictures:
     """The pictures of one recording.
 
@@ -225,6 +224,7 @@ def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
             limits=head.limits,
             clock=clock,
             tap=tap,
+            fraction_arming=head.fraction_arming,
         )
         loop.run_here()
     except ReplayEnded:

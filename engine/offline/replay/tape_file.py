@@ -23,6 +23,12 @@ from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.outcomes import Row, row_of
 from engine.offline.replay.recording_tap import Turn
 
+SCHEMA = "tidegate.tape/2"
+SUFFIX = ".tape"
+CHUNK_BYTES = 1 << 16
+LEVEL = 3
+LONGEST_LINE = 1 << 26
+
 
 class OtherReadingError(Exception):
     """Another reading is next on the tape.
@@ -55,13 +61,6 @@ class RecordedReadings:
         """Return the name of the next reading; None at the end."""
         following, _encoded = next(self._coming, (None, None))
         return None if following is None else following.name
-
-
-SCHEMA = "tidegate.tape/2"
-SUFFIX = ".tape"
-CHUNK_BYTES = 1 << 16
-LEVEL = 3
-LONGEST_LINE = 1 << 26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,13 @@ from engine.gating.delivery import MAX_RATE_ERROR_PPM
 
 Times = npt.NDArray[np.int64]
 BLOCKS_ACROSS, BLOCKS_DOWN = 80, 60
+NS_PER_US = 1000
+MAX_STAMP_STEP_US = 1_000_000
+FEWEST = 2
+NS_PER_MS = 1e6
+LONGEST_MS = 1000.0
+SHORTEST_MS = -5.0
+"""Least latency that is not refused as impossible [ms]; an estimate near 0 may be negative by its uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,11 +106,6 @@ class PictureLog:
         return Pictures(device_us=np.array(self._times_us, dtype=np.int64), blocks=np.array(self._blocks))
 
 
-NS_PER_US = 1000
-MAX_STAMP_STEP_US = 1_000_000
-FEWEST = 2
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostTimes:
     """Maps device times [us] to when the promptest frame with that time is received [ns, host].
@@ -175,12 +177,6 @@ def _is_above(at: FloatArray, lag: FloatArray, before: int, middle: int, after: 
     """Whether the middle point lies on or above the line from the one before to the one after."""
     rise = (lag[middle] - lag[before]) * (at[after] - at[before])
     return bool(rise >= (lag[after] - lag[before]) * (at[middle] - at[before]))
-
-
-NS_PER_MS = 1e6
-LONGEST_MS = 1000.0
-SHORTEST_MS = -5.0
-"""Least latency that is not refused as impossible [ms]; an estimate near 0 may be negative by its uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

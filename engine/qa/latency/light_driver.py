@@ -32,6 +32,9 @@ FEWEST_CHANGES = 40
 MIN_SPREAD = 0.1
 """Least standard deviation of the intervals, as a share of their mean."""
 MAX_KNOWN_NS = 100 * NS_PER_MS
+LEASE_MS = 200.0
+RENEW_NS = 50 * NS_PER_MS
+JOIN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +94,6 @@ def level_at(changes: Sequence[LightChange], at_ns: FloatArray) -> FloatArray:
     levels = np.array([0.0, *(1.0 if change.is_on else 0.0 for change in changes)])
     found: FloatArray = levels[np.searchsorted(middle_ns, at_ns, side="right")]
     return found
-
-
-LEASE_MS = 200.0
-RENEW_NS = 50 * NS_PER_MS
-JOIN_S = 3.0
 
 
 class Light(Protocol):

@@ -19,12 +19,6 @@ from engine.core.frames import BoolArray, FloatArray
 from engine.qa.latency.captured import CameraLatency, FrameTimes, Pictures, camera_latency, fit_host_times
 from engine.qa.latency.light_driver import LightChange, level_at, refuse_pattern
 
-# The light in the pictures: where it is, and whether it is on in each.
-#
-# Neither its place nor the latency is known: the block and the delay are sought at which brightness and pattern agree
-# best. A clear reason is returned, and never a delay, where no block follows the pattern, where two delays fit, or
-# where the brightness changes although the light does not.
-
 MIN_CORRELATION = 0.75
 MAX_OTHER_SHARE = 0.75
 """Highest correlation at another delay, as a share of the best."""
@@ -42,8 +36,21 @@ NOT_IN_VIEW = (
     "no part of the picture follows the light: it is not in view, not connected, always on or off, or too faint beside "
     "what flickers in the room"
 )
+NS_PER_MS = 1e6
+FEWEST_FRAMES = 300
+MAX_MISSED_SHARE = 0.1
+MIN_AGREEING_SHARE = 0.9
+MAX_WIDTH_MS = 50.0
+STAMP_MS = 1.0
+"""Error of a device time and of the line through them, by which each bound is widened [ms]."""
+OUTPUT_BOUNDS_MS = (0.0, 50.0)
 
 
+# The light in the pictures: where it is, and whether it is on in each.
+#
+# Neither its place nor the latency is known: the block and the delay are sought at which brightness and pattern agree
+# best. A clear reason is returned, and never a delay, where no block follows the pattern, where two delays fit, or
+# where the brightness changes although the light does not.
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LightSeen:
     """The light in each picture.
@@ -170,16 +177,6 @@ def _correlation(expected: FloatArray, seen: FloatArray) -> FloatArray:
     least = np.outer(np.maximum(expected_norm, 1e-9), np.maximum(seen_norm, 1e-3))
     found: FloatArray = (expected @ seen) / least
     return found
-
-
-NS_PER_MS = 1e6
-FEWEST_FRAMES = 300
-MAX_MISSED_SHARE = 0.1
-MIN_AGREEING_SHARE = 0.9
-MAX_WIDTH_MS = 50.0
-STAMP_MS = 1.0
-"""Error of a device time and of the line through them, by which each bound is widened [ms]."""
-OUTPUT_BOUNDS_MS = (0.0, 50.0)
 
 
 def latency_by_light(

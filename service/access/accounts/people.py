@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from service.access.accounts.records import User, check_name, name_key
+from service.access.accounts.records import User, check_name, is_like, name_key
 from service.access.accounts.store import AccessStore
 from service.core.errors import BoundError, LastAdminError, NameTakenError, NotFoundError, OutsideUserError
 from service.core.permissions import Role
@@ -16,6 +16,9 @@ from service.storage.audit import SYSTEM, Event
 ADD = "user.create"
 CHANGE = "user.change"
 ONE_TIME_BYTES = 15
+FIRST_NAME = "admin"
+OnFirstAdmin = Callable[[str, str], None]
+"""Receives the name and the one-time password, which is not stored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +85,8 @@ class AccountService:
         NameTakenError
             An account has, or had, this name.
         """
-        self._refuse_taken(check_name(name))
+        name = check_name(name)
+        self._refuse_taken(name)
         one_time = secrets.token_urlsafe(ONE_TIME_BYTES) if password is None else None
         user = User(
             name=name,
@@ -136,7 +140,7 @@ class AccountService:
         return Issued(user=after, one_time_password=one_time)
 
     def _refuse_taken(self, name: str) -> None:
-        if name_key(name) in self._store.users:
+        if any(is_like(user.name, name) for user in self._store.users.values()):
             msg = "this name is or was in use"
             raise NameTakenError(msg, field="name", value=name, bound="a name that was never used")
 
@@ -173,11 +177,6 @@ def _audited(user: User) -> dict[str, object]:
         "is_break_glass": user.is_break_glass,
         "must_change_password": user.must_change_password,
     }
-
-
-FIRST_NAME = "admin"
-OnFirstAdmin = Callable[[str, str], None]
-"""Receives the name and the one-time password, which is not stored."""
 
 
 def make_first_admin(store: AccessStore, accounts: AccountService, on_created: OnFirstAdmin) -> None:

@@ -9,15 +9,15 @@ from datetime import datetime
 from typing import Literal
 
 from service.core.errors import BoundError
+from service.core.identity import INVISIBLE, identity_key, identity_text, is_of_one_script
 from service.core.permissions import Permission, Role
 
-RESERVED = frozenset({"tidegate", "unknown", "nobody", "anonymous"})
+RESERVED = frozenset({"tidegate", "system", "unknown", "nobody", "anonymous"})
 MAX_LENGTH = 80
 KEY_PREFIX = "key:"
 MACHINE_PREFIX = "machine:"
 NOT_IN_NAMES = "/:"
-INVISIBLE = frozenset("\u115f\u1160\u2800\u3164\uffa0")
-"""Letters by Unicode that are rendered blank: they would let two accounts appear to have the same name."""
+Way = Literal["password", "oidc"]
 
 
 def name_key(name: str) -> str:
@@ -25,17 +25,24 @@ def name_key(name: str) -> str:
     return unicodedata.normalize("NFKC", name).casefold().strip()
 
 
+def is_like(name: str, other: str) -> bool:
+    """Whether two names look the same, so that a person could pass for another."""
+    return identity_key(name) == identity_key(other)
+
+
 def check_name(name: str) -> str:
-    """Return the name unchanged if it is allowed; raise BoundError otherwise."""
-    bound = f"1 to {MAX_LENGTH} printable characters without / and :, and not {', '.join(sorted(RESERVED))}"
-    is_plain = name.isprintable() and name.strip() == name and not set(name) & {*NOT_IN_NAMES, *INVISIBLE}
+    """Return the name as it is stored, in NFC, if it is allowed; raise BoundError otherwise."""
+    name = unicodedata.normalize("NFC", name)
+    bound = (
+        f"1 to {MAX_LENGTH} printable characters of one script, without / and :, surrounding and double spaces, "
+        f"and not {', '.join(sorted(RESERVED))}"
+    )
+    is_plain = bool(name.strip()) and name.isprintable() and not set(name) & {*NOT_IN_NAMES, *INVISIBLE}
+    is_plain = is_plain and identity_text(name) == name and is_of_one_script(name)
     if not 1 <= len(name) <= MAX_LENGTH or not is_plain or name_key(name) in RESERVED:
         msg = f"name must be {bound}"
         raise BoundError(msg, field="name", value=name[:MAX_LENGTH], bound=bound)
     return name
-
-
-Way = Literal["password", "oidc"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

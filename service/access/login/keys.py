@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-from service.access.accounts.records import KEY_PREFIX, ApiKey, check_name, name_key
+from service.access.accounts.records import KEY_PREFIX, ApiKey, check_name, is_like
 from service.access.accounts.store import AccessStore
 from service.access.login.logins import TOKEN_BYTES, hashed
 from service.core.errors import BoundError, NameTakenError, NotFoundError
@@ -74,7 +74,7 @@ class KeyService:
         )
         detail = {"key_id": key.id, "key": name, "scopes": sorted(chosen), "expires_at": expires_at.isoformat()}
         with self._store.changing:
-            if any(name_key(other.name) == name_key(name) for other in self._store.keys.values()):
+            if any(is_like(other.name, name) for other in self._store.keys.values()):
                 msg = "this name is or was a key's: names in the audit must be unique"
                 raise NameTakenError(msg, field="name", value=name, bound="a name that no key had")
             self._store.write(save=[key], event=Event(actor=by, action=CREATE, detail=detail))

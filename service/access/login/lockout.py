@@ -23,6 +23,11 @@ FREE_PER_ADDRESS = 20
 MAX_WAIT = timedelta(minutes=15)
 LAPSES_AFTER = timedelta(hours=1)
 MAX_SUBJECTS = 10_000
+MAX_QUEUED = 256
+MAX_PER_MINUTE = 10
+"""Rows of one kind for one person or machine between two summaries."""
+MAX_ADDRESSES = 8
+REFUSED = "access.refused"
 
 
 def name_subject(name: str) -> str:
@@ -60,13 +65,6 @@ def has_lapsed(attempts: Attempts, now: datetime) -> bool:
 
 def _lock(beyond: int) -> timedelta:
     return min(timedelta(seconds=2.0 ** min(beyond, 20)), MAX_WAIT)
-
-
-MAX_QUEUED = 256
-MAX_PER_MINUTE = 10
-"""Rows of one kind for one person or machine between two summaries."""
-MAX_ADDRESSES = 8
-REFUSED = "access.refused"
 
 
 class RefusedLogins:

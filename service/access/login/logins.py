@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 
 from service.access.accounts.passwords import Hashing, check_password
-from service.access.accounts.records import Attempts, Login, User, Way, check_name, name_key
+from service.access.accounts.records import Attempts, Login, User, Way, check_name, is_like, name_key
 from service.access.accounts.store import AccessStore
 from service.access.login import lockout
 from service.access.login.lockout import RefusedLogins
@@ -139,8 +139,9 @@ class LoginService:
             if user is not None and user.is_disabled:
                 raise LoginFailedError
             if user is None:
-                chosen = check_name(name_if_taken if name_key(name) in self._store.users else name)
-                if name_key(chosen) in self._store.users:
+                known = [one.name for one in self._store.users.values()]
+                chosen = check_name(name_if_taken if any(is_like(one, name) for one in known) else name)
+                if any(is_like(one, chosen) for one in known):
                     raise LoginFailedError
                 user = User(
                     name=chosen,

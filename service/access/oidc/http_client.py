@@ -24,6 +24,12 @@ from authlib.oauth2.rfc7636 import create_s256_code_challenge
 
 from service.core.errors import ServiceError
 
+MAX_ANSWER_BYTES = 512 * 1024
+WHOLE_FACTOR = 2.0
+"""A whole call takes at most this many times the time-out for a single read."""
+MAX_CALLS = 8
+_CALL_SLOTS = threading.BoundedSemaphore(MAX_CALLS)
+
 
 class OidcReason(StrEnum):
     """Why a token, a response or a log-in of the provider is refused."""
@@ -61,13 +67,6 @@ class OidcUnavailableError(ServiceError):
     """The provider cannot be reached, or its response is not valid OpenID Connect."""
 
     code: ClassVar[str] = "oidc_unavailable"
-
-
-MAX_ANSWER_BYTES = 512 * 1024
-WHOLE_FACTOR = 2.0
-"""A whole call takes at most this many times the time-out for a single read."""
-MAX_CALLS = 8
-_CALL_SLOTS = threading.BoundedSemaphore(MAX_CALLS)
 
 
 def _within(seconds: float, work: Callable[[], httpx2.Response]) -> httpx2.Response:

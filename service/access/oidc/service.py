@@ -24,13 +24,19 @@ from service.core.permissions import KEY_PERMISSIONS, Permission
 from service.core.settings.oidc import OidcSettings
 from service.storage.audit import SYSTEM, Event
 
-# Machines with an access token of the provider (client credentials), validated from memory without blocking.
-
 MAX_SCOPES = 1_000
 CLIENT_CLAIMS = ("client_id", "azp", "appid")
 """Claims in which providers put the client id, in order of preference."""
+SHORTEST_REASON = 8
+LONGEST_REASON = 500
+MAX_CONCURRENT = 4
+"""Log-ins that may wait for the provider at once: each occupies a request thread that hold and stop also need."""
+COUNTED_REASONS = frozenset({OidcReason.STATE, OidcReason.CODE, OidcReason.PROVIDER_REFUSED, OidcReason.ISSUER})
+"""Refusals that any client can cause at will; they are counted instead of audited one by one."""
+NOT_OFFERED, DISABLED, UNAVAILABLE, BUSY, STORAGE = "not_offered", "disabled", "unavailable", "busy", "storage"
 
 
+# Machines with an access token of the provider (client credentials), validated from memory without blocking.
 class OidcMachines:
     """Maps access tokens to machine identities, with the permissions of their scopes."""
 
@@ -92,11 +98,6 @@ def _name(claims: Claims) -> str:
 
 
 # Local passwords while users log in at the provider: break-glass accounts for its outage, always audited.
-
-SHORTEST_REASON = 8
-LONGEST_REASON = 500
-
-
 class Account(Protocol):
     """The part of an account that the rule needs."""
 
@@ -134,13 +135,6 @@ class LocalLogins:
             msg = f"reason must be {bound}"
             raise BoundError(msg, field="reason", value="missing" if reason is None else len(text), bound=bound)
         return True
-
-
-MAX_CONCURRENT = 4
-"""Log-ins that may wait for the provider at once: each occupies a request thread that hold and stop also need."""
-COUNTED_REASONS = frozenset({OidcReason.STATE, OidcReason.CODE, OidcReason.PROVIDER_REFUSED, OidcReason.ISSUER})
-"""Refusals that any client can cause at will; they are counted instead of audited one by one."""
-NOT_OFFERED, DISABLED, UNAVAILABLE, BUSY, STORAGE = "not_offered", "disabled", "unavailable", "busy", "storage"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,6 +24,10 @@ STATE = "tidegate.identity"
 """Scope key under which the guard stores the identity."""
 RULE = "tidegate.rule"
 """Scope key under which the guard stores the matched rule: (method, path template)."""
+NOT_GIVEN = ""
+"""Value of `operator` in a request that omits it."""
+OPERATOR = "operator"
+NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,10 +65,6 @@ def identity_in(scope: Mapping[str, object]) -> Identity | None:
     return found if isinstance(found, Identity) else None
 
 
-NOT_GIVEN = ""
-"""Value of `operator` in a request that omits it."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RequestCaller:
     """The authenticated sender of a request."""
@@ -97,10 +97,6 @@ class RequestCaller:
         if not self.identity.is_person and operator != NOT_GIVEN:
             chain.act_for(operator)
         return self.name
-
-
-OPERATOR = "operator"
-NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 class ClaimedOperator(NamedTuple):

@@ -12,6 +12,16 @@ from typing import TypeAlias
 
 from service.core.permissions import Permission
 
+SOCKET = "WEBSOCKET"
+V1 = "/api/v1"
+SESSION = f"{V1}/sessions/{{session_id}}"
+PEOPLE_ONLY = frozenset({("POST", f"{SESSION}/presence")})
+"""Calls refused to keys whatever their scopes: presence is a person's (ADR 0024)."""
+BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(
+    {("GET", f"{V1}/me"), ("POST", f"{V1}/me/password"), ("POST", f"{V1}/logout")}
+)
+"""The only calls allowed while a one-time password has not been changed."""
+
 
 class Open(Enum):
     """Routes that require no permission: public, or any authenticated identity."""
@@ -21,9 +31,6 @@ class Open(Enum):
 
 
 Needs: TypeAlias = Permission | Open
-SOCKET = "WEBSOCKET"
-V1 = "/api/v1"
-SESSION = f"{V1}/sessions/{{session_id}}"
 
 RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", "/healthz"): Open.PUBLIC,
@@ -131,14 +138,6 @@ RULES: Mapping[tuple[str, str], Needs] = {
 
 TAKES_PERMISSION_AWAY = frozenset(call for call, needs in RULES.items() if needs is Permission.GATE_HOLD)
 """Calls that hold, disarm, stop or cancel: if authorised, never refused because of headers, parameters or body."""
-
-PEOPLE_ONLY = frozenset({("POST", f"{SESSION}/presence")})
-"""Calls refused to keys whatever their scopes: presence is a person's (ADR 0024)."""
-
-BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(
-    {("GET", f"{V1}/me"), ("POST", f"{V1}/me/password"), ("POST", f"{V1}/logout")}
-)
-"""The only calls allowed while a one-time password has not been changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

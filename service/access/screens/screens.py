@@ -22,6 +22,15 @@ from service.access.login.logins import TOKEN_BYTES, hashed
 from service.core.errors import LockedOutError, NotFoundError, PairingRefusedError
 from service.storage.audit import Event
 
+CODE, PAIR, END = "screen.code", "screen.pair", "screen.end"
+CODE_DIGITS = 6
+CODE_LIFE = timedelta(minutes=2)
+MAX_WRONG_CODES = 5
+"""Wrong codes, from any address, after which the open one is void: the chance of a right guess is 1 in 200 000."""
+MAX_SCREENS = 4
+MAX_ADDRESSES = 1_000
+REFUSED = "pairing codes"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairingCode:
@@ -67,16 +76,6 @@ class PairedScreen:
 
     def __repr__(self) -> str:
         return f"PairedScreen(screen={self.screen.number!r})"
-
-
-CODE, PAIR, END = "screen.code", "screen.pair", "screen.end"
-CODE_DIGITS = 6
-CODE_LIFE = timedelta(minutes=2)
-MAX_WRONG_CODES = 5
-"""Wrong codes, from any address, after which the open one is void: the chance of a right guess is 1 in 200 000."""
-MAX_SCREENS = 4
-MAX_ADDRESSES = 1_000
-REFUSED = "pairing codes"
 
 
 class ScreenService:

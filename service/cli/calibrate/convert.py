@@ -20,14 +20,12 @@ SerialOption = Annotated[
         "clinical mode refuses it. By default that of the input, if it has one."
     ),
 ]
+NAME = "calibrate convert"
 
 
 def with_serial(calibration: Calibration, serial: str | None) -> Calibration:
     """Return the calibration with this serial number; raise CalibrationError if it is no printable text."""
     return calibration if serial is None else replace(calibration, serial=STRICT.name("serial", serial))
-
-
-NAME = "calibrate convert"
 
 
 def convert(
@@ -54,6 +52,14 @@ def convert(
         Path | None,
         typer.Option(help="JSON file with rotation (3 x 3) and translation_mm, if the files contain no pose."),
     ] = None,
+    is_mirrored: Annotated[
+        bool,
+        typer.Option(
+            "--mirrored",
+            help="The pictures it was made with were mirrored, as most drivers deliver them: convert it for pictures "
+            "that are not. Recordings are played and measured unmirrored.",
+        ),
+    ] = False,
     serial: SerialOption = None,
 ) -> None:
     """Convert a calibration; an ambiguous file is refused until an option resolves it."""
@@ -73,7 +79,8 @@ def convert(
         options = options_of(beside)
         converted = convert([STRICT.read_bytes(file) for file in files], options)
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, with_serial(converted.calibration, serial).to_json().encode())
+        calibration = converted.calibration.of_mirrored_pictures() if is_mirrored else converted.calibration
+        write_whole(out, with_serial(calibration, serial).to_json().encode())
     except TidegateError as error:
         raise refused(NAME, error) from error
     except OSError as error:

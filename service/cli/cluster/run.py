@@ -41,6 +41,7 @@ NOISY_LOGGERS = ("distributed", "distributed.client", "tornado.application", "as
 """Loggers that print tracebacks of a lost connection; Dask gives each a level of its own."""
 OTHER_VERSION = (WorkerRefusedError, ImportError, AttributeError)
 """How a job ends in a worker whose Tidegate is another one, or has no such module."""
+OnReport = Callable[[int, dict[str, Any]], None]
 
 
 class ClusterError(TidegateError):
@@ -59,7 +60,6 @@ class Finished:
     failure: str | None = None
 
 
-OnReport = Callable[[int, dict[str, Any]], None]
 OnFinished = Callable[[int, Finished], None]
 
 

@@ -37,6 +37,8 @@ MARKER = "run"
 """File in the staging folder by which a worker knows that it sees the client's folder."""
 STOP_WITHIN_S = 30.0
 STOP_STEP_S = 0.05
+Report = Callable[[dict[str, int | str]], None]
+"""Reports progress; the values travel as MessagePack."""
 
 
 class WorkerRefusedError(Exception):
@@ -173,10 +175,6 @@ async def stop_run(run_id: str) -> bool:
             return True
         await asyncio.sleep(STOP_STEP_S)
     return False
-
-
-Report = Callable[[dict[str, int | str]], None]
-"""Reports progress; the values travel as MessagePack."""
 
 
 class ClusterJob(Protocol):

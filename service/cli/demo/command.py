@@ -1,26 +1,26 @@
 """``tidegate demo``: a complete gated session on a virtual volunteer, over the HTTP API.
 
-Generates a recording, creates an account, starts ``tidegate serve`` as a process, logs in, plays the recording in real
-time through the OpenNI2 runtime, opens a session, trains, sets the reference at end-exhale, arms, gates, and compares
-what the service stored with the truth.
-
-The account of the demonstration, created in its data folder before the service starts.
+Creates an account, starts ``tidegate serve`` as a process and makes a recording meanwhile, logs in, plays the recording
+in real time through the OpenNI2 runtime, opens a session, trains, sets the reference at end-exhale, arms, gates, and
+compares what the service stored with the truth.
 """
 
 import contextlib
 import os
 import secrets
+import signal
 import socket
 import subprocess
 import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Literal
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.live import Live
@@ -33,7 +33,7 @@ from service.access.accounts.passwords import Argon2Hashing
 from service.access.accounts.people import AccountService, Change
 from service.access.accounts.records import name_key
 from service.access.accounts.store import AccessStore
-from service.cli.demo.accuracy import accuracy_of
+from service.cli.demo.result import DemoWindow, Result, result_of
 from service.cli.terminal import refused
 from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
 from service.core.permissions import Role
@@ -41,8 +41,34 @@ from service.storage.database.engine import Database
 from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
 
+OPERATOR = "Demo"
+PASSWORD_BYTES = 12
+EDGES = DemoWindow(lower_mm=-1.5, upper_mm=2.0, hysteresis_mm=0.2, dwell_s=0.2)
+WINDOW: Window = {
+    "signal": "whole",
+    "lower_mm": EDGES.lower_mm,
+    "upper_mm": EDGES.upper_mm,
+    "hysteresis_mm": EDGES.hysteresis_mm,
+    "dwell_ms": 1000.0 * EDGES.dwell_s,
+}
+HEAD: Literal["top"] = "top"
+"""The virtual volunteers lie with the head at the top of the picture."""
+START_TIMEOUT_S = 60.0
+SILENCE_S = 15.0
+LOOK_US = 500_000
+"""How often the session is read for the proposed reference."""
+OPEN = frozenset({"created", "running"})
+PRESENCE_S = 1.0
+"""The person of the demonstration watches its output here, as another does the page."""
 ROLES = frozenset({Role.PHYSICIST, Role.ADMIN})
 """All roles, so that the demonstration shows every page. At a site two people have them."""
+_STYLES = {"beam_on": "bold black on green", "fault": "bold white on red", "hold": "black on yellow"}
+
+
+class DemoError(TidegateError):
+    """The demonstration cannot continue."""
+
+    code = "demo_failed"
 
 
 def put_person(data: Path, name: str, *, by: str) -> str:
@@ -69,29 +95,9 @@ def _one_time_password(database: Database, name: str, *, by: str) -> str:
     return issued.one_time_password or ""
 
 
-OPERATOR = "Demo"
-PASSWORD_BYTES = 12
-WINDOW: Window = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
-HEAD: Literal["top"] = "top"
-"""The virtual volunteers lie with the head at the top of the picture."""
-START_TIMEOUT_S = 30.0
-SILENCE_S = 15.0
-LOOK_US = 500_000
-"""How often the session is read for the proposed reference."""
-OPEN = frozenset({"created", "running"})
-PRESENCE_S = 1.0
-"""The person of the demonstration watches its output here, as another does the page."""
-
-
-class DemoError(TidegateError):
-    """The demonstration cannot continue."""
-
-    code = "demo_failed"
-
-
 def demo(
     folder: Annotated[Path, typer.Option(help="Folder for recordings and the service's data.")] = Path("var/demo"),
-    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
+    seconds: Annotated[float, typer.Option(help="Length of the recording [s].", min=30.0, max=3600.0)] = 40.0,
     volunteer: Annotated[int, typer.Option(help="Number of the volunteer, 1 to 10.")] = 10,
     port: Annotated[
         int, typer.Option(help="Port of the service; if it is taken, the next free one.", min=1, max=65_535)
@@ -100,16 +106,20 @@ def demo(
 ) -> None:
     """Run a gated session on a virtual volunteer and compare it with the true motion.
 
-    Generates a recording, starts a service, plays the recording as a camera, trains, arms and gates; the web page shows
-    it live.
+    Starts a service and generates a recording meanwhile, plays the recording as a camera, trains, arms and gates; the
+    web page shows it live.
     """
     console = Console(highlight=False)
+    signal.signal(signal.SIGTERM, _leave)
     try:
-        recording = _volunteer(folder, volunteer, seconds, console)
         one_time_password = put_person(_data(folder), OPERATOR, by="tidegate demo")
-        with _service(folder, _free_port(port), console) as (address, api):
+        with _service(folder, _free_port(port)) as service:
+            recording = _volunteer(folder, volunteer, seconds, console)
+            service.wait_until_ready()
+            address, api = service.address, service.api
+            console.print(f"2 of 4  The service is running: open [bold]{address}/[/bold]")
             password = _log_in(api, one_time_password)
-            _summarise(api, _gate(api, recording, console), recording, console)
+            _show(_gate(api, recording, seconds, console), console)
             if keep:
                 console.print(
                     f"Still running: {address}/  Log in as {OPERATOR} with the password {password}  (Ctrl-C ends)",
@@ -120,15 +130,20 @@ def demo(
         raise refused("demo", error) from error
 
 
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    """End as by Ctrl-C, so that the service is stopped, too."""
+    raise typer.Exit(128 + signal.SIGTERM)
+
+
 def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -> Path:
     """Generate the recording, or use the one of an earlier run."""
     from service.cli.phantom import phantom
 
     out = folder / f"regular-{volunteer}-{seconds:g}s"
     if (out / "truth.npz").exists():
-        console.print(f"1 Volunteer {volunteer}, {seconds:g} s: recording of an earlier run, {out}", markup=False)
+        console.print(f"1 of 4  Volunteer {volunteer}, {seconds:g} s: recording of an earlier run, {out}", markup=False)
     else:
-        console.print(f"1 Generating volunteer {volunteer}, {seconds:g} s of regular breathing", markup=False)
+        console.print(f"1 of 4  Making volunteer {volunteer}, {seconds:g} s of regular breathing", markup=False)
         phantom("regular", out=out, volunteer=volunteer, seconds=seconds, fps=30.0, seed=1, trace=None, workers=None)
     return out
 
@@ -154,8 +169,32 @@ def _free_port(wanted: int) -> int:
     raise DemoError(message)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Service:
+    """A service of the demonstration's own, as a process."""
+
+    address: str
+    api: TidegateClient
+    process: "subprocess.Popen[bytes]"
+    log: Path
+
+    def wait_until_ready(self) -> None:
+        """Wait until it answers; raise DemoError where it does not, with the end of its log."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            if self.process.poll() is not None:
+                message = f"the service stopped during its start: {self.log.read_text(errors='replace')[-400:].strip()}"
+                raise DemoError(message)
+            url = f"{self.address}/healthz"
+            with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=1.0):  # noqa: S310 - loopback # nosec B310
+                return
+            time.sleep(0.1)
+        message = f"the service did not answer within {START_TIMEOUT_S:g} s"
+        raise DemoError(message)
+
+
 @contextlib.contextmanager
-def _service(folder: Path, port: int, console: Console) -> Iterator[tuple[str, TidegateClient]]:
+def _service(folder: Path, port: int) -> Iterator[_Service]:
     command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
     log_path, address = folder / "service.log", f"http://127.0.0.1:{port}"
@@ -167,9 +206,7 @@ def _service(folder: Path, port: int, console: Console) -> Iterator[tuple[str, T
         TidegateClient(address, retries=0, timeout_s=30.0) as api,
     ):
         try:
-            _wait_until_ready(address, process, log_path)
-            console.print(f"2 The service is running: open [bold]{address}/[/bold]")
-            yield address, api
+            yield _Service(address=address, api=api, process=process, log=log_path)
         finally:
             process.terminate()
             try:
@@ -178,21 +215,8 @@ def _service(folder: Path, port: int, console: Console) -> Iterator[tuple[str, T
                 process.kill()
 
 
-def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path: Path) -> None:
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while time.monotonic() < deadline:
-        if process.poll() is not None:
-            message = f"the service stopped during its start: {log_path.read_text(errors='replace')[-400:].strip()}"
-            raise DemoError(message)
-        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/healthz", timeout=1.0):  # noqa: S310 - loopback # nosec B310
-            return
-        time.sleep(0.1)
-    message = f"the service did not answer within {START_TIMEOUT_S:g} s"
-    raise DemoError(message)
-
-
-def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
-    """Run one session from its creation to the end of the recording; return its identifier."""
+def _gate(api: TidegateClient, recording: Path, seconds: float, console: Console) -> Result:
+    """Run one session from its creation to the end of the recording; compare it with the truth."""
     player: Literal["openni", "reader"] = "openni" if is_player_available() else "reader"
     if player == "reader":
         console.print(
@@ -212,10 +236,11 @@ def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
         }
     )
     api.start(session["id"])
-    console.print(f"3 Session {session['id'][:8]}: playing through {player}, training the motion model")
-    _follow(api, session["id"], console)
+    console.print(f"3 of 4  Session {session['id'][:8]}: {seconds:g} s through {player}; the motion model is learned")
+    _follow(api, session["id"], seconds, console)
     _close(api, session["id"])
-    return session["id"]
+    samples = api.export_samples(session["id"], recording / "samples.csv").path
+    return result_of(api.read_session(session["id"])["summary"], samples, recording, EDGES)
 
 
 def _close(api: TidegateClient, session_id: str) -> None:
@@ -227,7 +252,7 @@ def _close(api: TidegateClient, session_id: str) -> None:
         time.sleep(0.1)
 
 
-def _follow(api: TidegateClient, session_id: str, console: Console) -> None:
+def _follow(api: TidegateClient, session_id: str, seconds: float, console: Console) -> None:
     """Print a live status line; set the reference as proposed and arm, until the recording ends."""
     began = time.monotonic()
     is_armed, looked_us, reported_s = False, 0, 0.0
@@ -239,7 +264,7 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> None:
                 return
             if message["type"] != "sample" or message["form"] != "full":
                 continue
-            live.update(_line(message))
+            live.update(_line(message, seconds))
             if message["session_status"] != "running":
                 return
             if time.monotonic() - reported_s >= PRESENCE_S:
@@ -260,7 +285,7 @@ def _begin_gating(api: TidegateClient, session_id: str, console: Console, began:
     api.set_reference(session_id, level_seen=proposed["level"])
     _arm(api, session_id)
     console.print(
-        f"4 Reference set at end-exhale of {proposed['breaths']} breaths, scatter {proposed['scatter']:.2f} mm; "
+        f"4 of 4  Reference set at end-exhale of {proposed['breaths']} breaths, scatter {proposed['scatter']:.2f} mm; "
         f"armed after {time.monotonic() - began:.0f} s of the session."
     )
     return True
@@ -285,11 +310,8 @@ def _arm(api: TidegateClient, session_id: str) -> None:
             return
 
 
-_STYLES = {"beam_on": "bold black on green", "fault": "bold white on red", "hold": "black on yellow"}
-
-
-def _line(message: Sample) -> Text:
-    line = Text()
+def _line(message: Sample, seconds: float) -> Text:
+    line = Text(f"{message['timestamp_us'] / 1e6:4.0f} of {seconds:.0f} s ")
     line.append(f" {message['gate'].replace('_', ' ').upper():9}", _STYLES.get(message["gate"], "reverse"))
     if message["training"] is not None:
         training = message["training"]
@@ -302,30 +324,13 @@ def _line(message: Sample) -> Text:
     return line
 
 
-def _summarise(api: TidegateClient, session_id: str, recording: Path, console: Console) -> None:
-    session = api.read_session(session_id)
-    samples = api.export_samples(session_id, recording / "samples.csv").path
-    summary = session["summary"]
-    accuracy = accuracy_of(samples, recording)
-    table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
-    table.add_row("session", f"{session['status']}  {session['status_detail']}".strip())
-    table.add_row("frames", str(summary["frames"]))
-    table.add_row("missing in the stream", str(summary["missed_frames"]))
-    table.add_row("not measurable", str(summary["lost"]))
-    if accuracy is not None:
-        table.add_row("true end-exhale as measured, mean", f"{accuracy.reference_mm:+.3f} mm")
-        errors_mm = np.abs(accuracy.errors_mm)
-        table.add_row(
-            "motion error of the whole region", f"mean {errors_mm.mean():.3f} mm, worst {errors_mm.max():.3f} mm"
-        )
-    duty = summary["duty_cycle"]
-    table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
-    table.add_row("gate transitions", str(summary["transitions"]))
-    latency = summary["latency"]
-    values = {"p50": latency["p50_ms"], "p99": latency["p99_ms"], "longest": latency.get("max_ms")}
-    times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in values.items())
-    table.add_row("latency, camera to beam line", times)
+def _show(result: Result, console: Console) -> None:
+    table = Table("", "expected", "measured", title="Result", title_justify="left")
+    for row in result.rows:
+        style = None if row.is_expected else "bold red"
+        table.add_row(row.what, row.expected, row.measured, style=style)
     console.print(table)
+    console.print(result.verdict, style="green" if all(row.is_expected for row in result.rows) else "bold red")
 
 
 def _wait_for_ctrl_c() -> None:

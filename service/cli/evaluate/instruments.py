@@ -27,6 +27,9 @@ from service.cli.terminal import frame_bar
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+OURS, THEIRS, ERROR = "#1f6fb2", "#c2410c", "#6b7280"
+DPI = 110
+
 
 def watch(
     recording: Path,
@@ -62,10 +65,6 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[object
 def number(value: float | None, digits: int) -> str:
     """Format a number; a missing or non-finite value is an empty text, never zero."""
     return "" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
-
-
-OURS, THEIRS, ERROR = "#1f6fb2", "#c2410c", "#6b7280"
-DPI = 110
 
 
 def draw_laser(comparison: LaserComparison, path: Path) -> None:

@@ -20,6 +20,7 @@ from service.cli.evaluate.instruments import draw_laser, number, superior_of, wa
 from service.cli.terminal import frame_bar, refused, say
 
 LARGE_OFFSET_MM, GREATEST_OFFSET_MM = 10.0, 50.0
+_COLUMNS = ("mean_mm", "deviation_mm", "largest_mm", "correlation")
 
 
 def plane(
@@ -179,9 +180,6 @@ def _print_agreements(comparison: LaserComparison, agreements: list[Agreement]) 
         highlight=False,
         soft_wrap=True,
     )
-
-
-_COLUMNS = ("mean_mm", "deviation_mm", "largest_mm", "correlation")
 
 
 def _figures(one: Agreement) -> list[str]:

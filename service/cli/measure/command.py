@@ -10,7 +10,7 @@ from engine import __version__
 from engine.calibration import load_calibration
 from engine.capture import OniFileSource, describe
 from engine.core.clock import MonotonicClock
-from engine.core.errors import TidegateError
+from engine.core.errors import RecordingError, TidegateError
 from engine.core.frames import Measurement
 from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_patient
 from engine.gating import DWELL_MS, HEAD_DIRECTION_UNKNOWN, GateLimits
@@ -27,11 +27,11 @@ from service.cli.cluster.options import (
 from service.cli.measure import options
 from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
 
-# Stored motion models: read one, and the origin that is stored with a new one.
-
+MIRRORED_CALIBRATION = "its calibration has to be of unmirrored pictures (tidegate calibrate convert --mirrored)"
 SOFTWARE = f"tidegate {__version__}"
 
 
+# Stored motion models: read one, and the origin that is stored with a new one.
 def stored_model(path: Path, patient: str | None) -> MotionModel:
     """Read a model and refuse that of another patient; without ``patient``, print that this was not checked."""
     model = load_model(path)
@@ -192,7 +192,12 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
     if not is_calibration_given:
         say(f"Calibration: {task.calibration}")
     cameras = load_calibration(task.calibration)
-    total = describe(task.recording).depth_frames
+    stored = describe(task.recording)
+    if stored.impossible_times is not None:
+        raise RecordingError(f"{task.recording.name}: its times are impossible: {stored.impossible_times}")
+    if stored.mirrored is not None:
+        say(f"{task.recording.name}: {stored.mirrored} stored mirrored, turned round; {MIRRORED_CALIBRATION}")
+    total = stored.depth_frames
     with frame_bar() as progress:
         shown = progress.add_task("training", total=total)
         words = ""

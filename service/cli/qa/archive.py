@@ -38,6 +38,8 @@ from service.storage.database.tables import QaRunRow
 from service.storage.files.folder_lock import alone_in
 
 NAME: TypeAdapter[str] = TypeAdapter(Name)
+ACTION = "qa.code"
+COMMAND = "qa code"
 
 
 def print_runs(data: Path | None, limit: int) -> None:
@@ -140,10 +142,6 @@ def _check_name(field: str, text: str) -> None:
     except ValidationError as error:
         bound = "1 to 80 printable characters"
         raise BoundError(f"--{field} must be {bound}", field=field, value=text, bound=bound) from error
-
-
-ACTION = "qa.code"
-COMMAND = "qa code"
 
 
 def show_code(data: Path | None, operator: str) -> None:

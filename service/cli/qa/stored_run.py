@@ -28,9 +28,16 @@ from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
 from service.web.problems.table import problem_of
 
+STAGES = {
+    QaNeed.PLATE: "plate, frames",
+    QaNeed.PHANTOM: "phantom, frames",
+    QaNeed.BEAM: "beam line, drills",
+    QaNeed.CAMERA: "camera, frames",
+}
+Request = TypeVar("Request", bound=BaseModel)
+
+
 # Signals during a run that permits a beam.
-
-
 @contextmanager
 def interruptible() -> Iterator[None]:
     """Handle SIGTERM and SIGINT as Ctrl-C: the line is held and the run recorded before the process ends.
@@ -47,15 +54,6 @@ def interruptible() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-STAGES = {
-    QaNeed.PLATE: "plate, frames",
-    QaNeed.PHANTOM: "phantom, frames",
-    QaNeed.BEAM: "beam line, drills",
-    QaNeed.CAMERA: "camera, frames",
-}
-Request = TypeVar("Request", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,11 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
+from service.core.identity import identity_text, is_of_one_script
 from service.core.schemas.sentences import SentenceParts, Text
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(identity_text)]
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 
 
 def broken(field: str, value: object, bound: str) -> PydanticCustomError:
@@ -32,22 +36,28 @@ def _printable(text: str) -> str:
     return text
 
 
+def _of_one_script(name: str) -> str:
+    if not is_of_one_script(name):
+        msg = "must be letters of one script, so that none passes for a letter of another"
+        raise ValueError(msg)
+    return name
+
+
 def printable_or_empty(text: str) -> str:
     """Return the text; raise ValueError for what is not printable."""
     return _printable(text) if text else text
 
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(_printable)]
 SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), AfterValidator(_printable)]
 Operator = Annotated[
     Name,
+    AfterValidator(_of_one_script),
     Field(
         description="The responsible person. May be left out by a person who is logged in; an API key"
         " sends the name of the person it acts for",
         examples=["A. Therapist"],
     ),
 ]
-Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 
 
 class Request(BaseModel):
@@ -103,6 +113,7 @@ class Problem(Answer):
 class ReadinessCode(enum.StrEnum):
     """Stable codes of what prevents sessions, now or soon."""
 
+    ANCHORS_INSIDE = "anchors_inside"
     AUDIT_TROUBLE = "audit_trouble"
     CAMERA_LATENCY = "camera_latency"
     CAMERA_RUNTIME_MISSING = "camera_runtime_missing"
@@ -110,6 +121,8 @@ class ReadinessCode(enum.StrEnum):
     CERTIFICATE_ENDS_SOON = "certificate_ends_soon"
     CERTIFICATE_UNREADABLE = "certificate_unreadable"
     CLOCK_BEHIND = "clock_behind"
+    CLOCK_DOUBTED = "clock_doubted"
+    DATABASE_LOG_LARGE = "database_log_large"
     DATABASE_UNWRITABLE = "database_unwritable"
     DISK_LOW = "disk_low"
     ENGINE_MISSING = "engine_missing"

@@ -18,6 +18,12 @@ Language = Literal["en", "de"]
 LONGEST_COUNTDOWN_S = 120.0
 """Longest time limit of a breath hold (`engine.gating.windows.breath_hold`)."""
 Place = Annotated[float, Field(ge=0.0, le=1.0)]
+LOWEST_PERCENT, HIGHEST_PERCENT = -100.0, 300.0
+"""As for the edges of a window in per cent."""
+NARROWEST_PERCENT = 5.0
+NARROWEST_SCALE_PERCENT = 20.0
+LONGEST_REST_S = 120.0
+Percent = Annotated[float, Field(ge=LOWEST_PERCENT, le=HIGHEST_PERCENT)]
 
 
 class CoachMessage(BaseModel):
@@ -71,14 +77,6 @@ class CoachGuide(CoachMessage):
 
 AnyCoachMessage = Annotated[CoachHello | CoachWait | CoachGuide, Field(discriminator="type")]
 COACH_MESSAGE: TypeAdapter[CoachHello | CoachWait | CoachGuide] = TypeAdapter(AnyCoachMessage)
-
-
-LOWEST_PERCENT, HIGHEST_PERCENT = -100.0, 300.0
-"""As for the edges of a window in per cent."""
-NARROWEST_PERCENT = 5.0
-NARROWEST_SCALE_PERCENT = 20.0
-LONGEST_REST_S = 120.0
-Percent = Annotated[float, Field(ge=LOWEST_PERCENT, le=HIGHEST_PERCENT)]
 
 
 class PercentRange(Request):

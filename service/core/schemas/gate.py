@@ -10,6 +10,21 @@ from service.core.schemas.sentences import SENTENCES, SentenceParts, Text
 from service.core.schemas.windows import Window
 
 UNITS = ("mm", "l")
+ArmingCode = Literal[
+    "patient",
+    "plan",
+    "camera",
+    "head_direction",
+    "view",
+    "model",
+    "reference",
+    "window",
+    "position",
+    "checks",
+    "countersignature",
+    "site",
+    "gate",
+]
 
 
 class BaselineCorrectionRequest(Request):
@@ -92,23 +107,6 @@ class InterlockList(Answer):
     """All interlocks."""
 
     items: list[Interlock]
-
-
-ArmingCode = Literal[
-    "patient",
-    "plan",
-    "camera",
-    "head_direction",
-    "view",
-    "model",
-    "reference",
-    "window",
-    "position",
-    "checks",
-    "countersignature",
-    "site",
-    "gate",
-]
 
 
 class ArmingItem(Answer):

@@ -18,6 +18,10 @@ MoverName = Literal["couch", "camera", "camera_or_couch"]
 GateName = Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 Cell = Annotated[list[int], Field(min_length=2, max_length=2)]
+AlarmPriorityName = Literal["high", "medium", "low"]
+SignalName = Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+HoldStageName = Literal["awaited", "settling", "held", "drifted", "over"]
+CameraAdviceName = Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]
 
 
 class Message(BaseModel):
@@ -100,9 +104,6 @@ class Resumed(Message):
     last_frame: int = Field(description="Index of the last one; the requested frame if none was sent")
 
 
-AlarmPriorityName = Literal["high", "medium", "low"]
-
-
 class LiveAlarm(Message):
     """An active alarm of a session; priorities are those of IEC 60601-1-8."""
 
@@ -158,10 +159,6 @@ class LiveTraining(Message):
     note: Text
     amplitude_mm: float | None = Field(default=None, description="Breathing amplitude so far")
     shift_mm: float | None = Field(default=None, description="Displacement of the region since the training started")
-
-
-SignalName = Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
-HoldStageName = Literal["awaited", "settling", "held", "drifted", "over"]
 
 
 class LiveCondition(Message):
@@ -334,9 +331,6 @@ class LiveCheck(Message):
     )
     seconds: float | None = Field(description="Time in this state, by the camera's clock; null where it is not kept")
     text: Text = Field(description="Sentence to display")
-
-
-CameraAdviceName = Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]
 
 
 class LiveCameraView(Message):

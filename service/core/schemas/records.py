@@ -132,7 +132,14 @@ class Recording(Answer):
     height_px: int | None
     fps: int | None = Field(description="Nominal rate of the depth pictures [1/s]", examples=[30])
     has_color: bool | None = Field(description="Markers are found in colour: without it no session can be measured")
-    problem: str | None = Field(description="Why it cannot be played; null if its first records are whole")
+    mirrored: str | None = Field(
+        description="Streams whose pictures are stored mirrored, and turned round when played; null for none. Its "
+        "calibration has to be of pictures that are not mirrored",
+        examples=["depth and colour"],
+    )
+    problem: str | None = Field(
+        description="Why it cannot be played; null if its first records are whole, and its first times possible"
+    )
 
 
 class RecordingPage(Answer):

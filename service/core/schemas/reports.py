@@ -136,7 +136,17 @@ class ReportSignature(Answer):
     name: str
     is_signed: bool = Field(description="false: a note only")
     note: str
-    samples_sha256: str = Field(description="Of the samples of the report that the person looked at")
+    content_sha256: str = Field(description="Of the content of the report that the person looked at")
+    is_of_this: bool = Field(description="false: the report's content has changed since")
+
+
+class ReportWindow(Answer):
+    """A window of the session: as it was prescribed, and each one that was set or moved later."""
+
+    at: AwareDatetime
+    actor: str
+    text: str = Field(description="Its conditions in words, or how it was moved")
+    reason: str
 
 
 class SignatureRequest(Request):
@@ -145,7 +155,7 @@ class SignatureRequest(Request):
     operator: Operator = ""
     is_signed: bool = Field(default=True, description="false: a note only, which needs a text")
     note: Annotated[str, StringConstraints(max_length=1000), AfterValidator(printable_or_empty)] = ""
-    samples_sha256: Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{64})?$")] = Field(
+    content_sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] = Field(
         description="That of the report that was looked at; another one is refused"
     )
 
@@ -160,17 +170,24 @@ class SessionReport(Answer):
     """A session as its report states it."""
 
     session_id: Identifier
-    session: Session
+    session: Session = Field(description="Names, operator and prescribed window as the audit has them")
+    differs: list[str] = Field(
+        description="Whose signature is of another content, and what the database states otherwise than the audit; "
+        "empty where nothing differs"
+    )
+    windows: list[ReportWindow] = Field(description="The prescribed window, then each later one")
     figures: ReportFigures
     events: list[ReportEvent] = Field(description="Oldest first; the gate's own transitions only to a fault")
     deviations: list[str] = Field(description="What was not as planned or as usual; empty where nothing was")
     position: list[SignedDegree] = Field(description="As last signed; empty where none was")
     signatures: list[ReportSignature] = Field(description="Notes and signatures, oldest first")
     signatures_needed: int = Field(
-        description="2 where a person went beyond a limit of the site with a reason, or overrode a plan; else 1"
+        description="2 where the site asks for a second person, where a person went beyond a limit of the site with a "
+        "reason, or overrode a plan; else 1. Of two one is by a person who did not arm"
     )
     model: str = Field(description="The newest model of the session; empty without one")
     software: str
+    content_sha256: str = Field(description="Of all of the report but its notes and signatures: what is signed")
     samples_sha256: str = Field(description="Of the stored samples; empty while the session runs, or without any")
     calibration_sha256: str
     settings_sha256: str

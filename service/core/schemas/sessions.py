@@ -28,6 +28,15 @@ from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
 CalibrationKind = Literal["uploaded", "device registration", "device calibration"]
+HeadSide = Literal["top", "bottom", "left", "right"]
+HEAD_WORDS = "Side of the camera's picture at which the patient's head lies"
+CONTINUES = (
+    "An earlier session of the same fraction that is over: its beam-on time is kept and shown with the new session's."
+    " Nothing else is taken over: the gate is not armed, and a person confirms the reference again"
+)
+GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
+GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
+ReferenceMoment = Literal["end_exhale", "end_inhale", "now"]
 
 
 class RecordingSource(Request):
@@ -55,18 +64,6 @@ class DeviceSource(Request):
 
 
 Source = Annotated[RecordingSource | DeviceSource, Field(discriminator="kind")]
-
-
-HeadSide = Literal["top", "bottom", "left", "right"]
-HEAD_WORDS = "Side of the camera's picture at which the patient's head lies"
-
-
-CONTINUES = (
-    "An earlier session of the same fraction that is over: its beam-on time is kept and shown with the new session's."
-    " Nothing else is taken over: the gate is not armed, and a person confirms the reference again"
-)
-GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
-GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
 
 
 class Region(Request):
@@ -222,9 +219,6 @@ class ArmRequest(OperatorRequest):
         max_length=1_000,
         description="Why conditions joined by `or` are armed: required of a person; a program cannot arm such a window",
     )
-
-
-ReferenceMoment = Literal["end_exhale", "end_inhale", "now"]
 
 
 class ReferenceRequest(OperatorRequest):

@@ -61,10 +61,11 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
         "beam_relay_channel",
         "beam_relay_contact",
         "beam_relay_heartbeat_channel",
+        "beam_relay_expected_channel",
         *TIMES,
     ),
 }
-SIGNALS = ("beam_on_input", "beam_modbus_expected_coil", "beam_simulated_accelerator_ms")
+SIGNALS = ("beam_on_input", "beam_modbus_expected_coil", "beam_relay_expected_channel", "beam_simulated_accelerator_ms")
 NOT_PLACES = {*TIMES, *SIGNALS, *COMPARISON}
 PLACES = {name for names in USED_BY.values() for name in names} - NOT_PLACES
 NEEDED_BY: dict[LineKind, str] = {
@@ -155,6 +156,9 @@ class BeamSettings(BaseSettings):
     beam_relay_contact: Contact = Field(default="none", description="Modem line wired to the relay's second contact")
     beam_relay_heartbeat_channel: int = Field(
         default=NO_CHANNEL, ge=NO_CHANNEL, le=31, description="Relay that switches at every cycle; -1 is none"
+    )
+    beam_relay_expected_channel: int = Field(
+        default=NO_CHANNEL, ge=NO_CHANNEL, le=31, description="Relay that is on while a session runs; -1 is none"
     )
     beam_notify_udp: Targets = Field(default=(), max_length=MAX_TARGETS, description="host:port, comma-separated")
     beam_notify_http: Targets = Field(default=(), max_length=MAX_TARGETS, description="Addresses, comma-separated")
@@ -256,6 +260,11 @@ class BeamSettings(BaseSettings):
         """The relay that carries the heartbeat, if any."""
         return None if self.beam_relay_heartbeat_channel == NO_CHANNEL else self.beam_relay_heartbeat_channel
 
+    @property
+    def beam_expected_channel(self) -> int | None:
+        """The relay that says that a gate is expected, if any."""
+        return None if self.beam_relay_expected_channel == NO_CHANNEL else self.beam_relay_expected_channel
+
     def _refuse_second_line(self) -> None:
         if self.beam_line_2 is not None and self.is_simulated_beam:
             msg = (
@@ -314,7 +323,12 @@ class BeamSettings(BaseSettings):
             for kind in self.beam_lines:
                 self.beam_registers(kind)
             if "serial-relay" in self.beam_lines:
-                check_channels(self.beam_relay_protocol, self.beam_relay_channel, self.beam_heartbeat_channel)
+                check_channels(
+                    self.beam_relay_protocol,
+                    self.beam_relay_channel,
+                    self.beam_heartbeat_channel,
+                    self.beam_expected_channel,
+                )
         except InvalidValueError as error:
             name = error.field if error.field.startswith("beam_") else f"beam_{error.field}"
             name = name if name in type(self).model_fields else f"beam_relay_{error.field}"

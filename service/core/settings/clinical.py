@@ -14,6 +14,98 @@ from service.core.settings.beam import BeamSettings
 from service.core.settings.names import PREFIX, setting_name
 
 NEGLIGIBLE = 1e-9
+TG_302 = "2 mm, the set-up tolerance of TG-302"
+EVALUATED = "the default, with which falsified recordings were evaluated (docs/5-evidence/evaluation.md)"
+RESIDUAL = f"{EVALUATED}; up to 7.2 mm of misfit in a cell on the noisiest sensor (docs/2-clinical/safety.md)"
+NO_BEAM = "decides nothing about the beam"
+ADDRESS = "names a place, no limit"
+EXEMPT: Mapping[str, str] = {
+    "min_on_ms": "only lengthens a dwell",
+    "max_unwritten_ms": "the engine's own bounds are as narrow",
+    **dict.fromkeys(("beam_answer_ms", "beam_settle_ms"), "at most 150 ms everywhere, within max_latency_ms"),
+    "max_beam_on_s": "at most 30 s everywhere",
+    "sample_batch_ms": "the engine holds after max_unwritten_ms",
+    "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
+    "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
+    **dict.fromkeys(
+        ("depth_exposure_us", "laser_percent"), "changes noise and gaps, which residual, coverage and QA judge"
+    ),
+    "keep_warm_min": "a camera that was off for longer waits for warm_up_min again",
+    "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
+    "audit_clock_jump_ms": NO_BEAM,
+    "beam_notify_timeout_s": "a status message to other systems, which is no permit",
+    "beam_on_input": ADDRESS,
+    "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
+    "beam_rtu_baud": ADDRESS,
+    "beam_rtu_stop_bits": ADDRESS,
+    **dict.fromkeys(("beam_modbus_", "beam_relay_"), ADDRESS),
+    "qa_": "tolerances of QA permit nothing; the engine's bounds are those of the physicist",
+    **dict.fromkeys(
+        (
+            "port",
+            "http_",
+            "max_live_clients",
+            "live_",
+            "max_body_bytes",
+            "max_plan_bytes",
+            "readiness_keep_ms",
+            "certificate_warn_days",
+        ),
+        "HTTP service, which holds no permit",
+    ),
+    **dict.fromkeys(
+        (
+            "raw_min_free_mb",
+            "retain_",
+            "data_quota_gb",
+            "session_room_min",
+            "idempotency_days",
+            "audit_anchor_interval_s",
+        ),
+        "files and records; a full disk holds by min_free_disk_mb",
+    ),
+    **dict.fromkeys(
+        ("oidc_", "login_", "key_max_days", "audit_log_"),
+        "access and its records: an end of a log-in holds, and operator_timeout_s bounds absence",
+    ),
+}
+"""Numbers without a clinical bound, by name or by the beginning of the name, and why."""
+WINDOW_NUMBERS: Mapping[str, str] = {
+    "lower_mm": "window_lower_mm",
+    "upper_mm": "window_upper_mm",
+    "still_mm": "max_hold_still_mm",
+    "still_l": "max_hold_still_mm",
+    "max_drift_mm": "max_hold_drift_mm",
+    "max_drift_l": "max_hold_drift_mm",
+    "settle_ms": "min_hold_settle_ms",
+    "timeout_s": "max_breath_hold_s",
+    "min_confidence": "min_phase_confidence",
+    "dwell_ms": "min_dwell_ms",
+    "min_off_ms": "min_off_ms",
+    "max_cycles_per_min": "max_cycles_per_min",
+    "from_percent": "max_duty_percent",
+    "to_percent": "max_duty_percent",
+    "lower_percent": "window_lower_mm",
+    "upper_percent": "window_upper_mm",
+    "lower_l": "max_duty_percent",
+    "upper_l": "max_duty_percent",
+}
+"""The setting that bounds each number of a session's window."""
+WINDOW_EXEMPT: Mapping[str, str] = {
+    "row": ADDRESS,
+    "column": ADDRESS,
+    "min_on_ms": "only lengthens a dwell",
+    **dict.fromkeys(("hysteresis_mm", "hysteresis_l", "hysteresis_percent"), "only narrows the window"),
+}
+"""Numbers of a window without a bound, and why."""
+MEASURED = "treatment needs a measured calibration"
+RESEARCH_ONLY: Mapping[str, str] = {
+    "beam_without_calibration": MEASURED,
+    "allow_device_registration": MEASURED,
+    "checks_may_be_missing": "what no check can look at is not known to be right",
+    "recordings_may_gate": "a recording does not show the present patient",
+}
+"""Settings that must be false in clinical mode, and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +122,6 @@ class ClinicalBound:
         return f"{self.low:g} to {self.high:g}"
 
 
-TG_302 = "2 mm, the set-up tolerance of TG-302"
-EVALUATED = "the default, with which falsified recordings were evaluated (docs/5-evidence/evaluation.md)"
 CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     # What a site must set: the defaults are outside.
     "camera_latency_ms": ClinicalBound(
@@ -91,7 +181,7 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
         low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
     ),
     # Whether a measurement counts.
-    "max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason=EVALUATED),
+    "max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason=RESIDUAL),
     "max_jump_mm": ClinicalBound(low=0.1, high=4.0, reason="120 mm/s at 30 frames a second: no breath is faster"),
     "min_valid_share": ClinicalBound(
         low=0.8, high=1.0, reason="QA warns when 10 % of the plate are missing, fails at 20 %"
@@ -160,98 +250,6 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "min_free_disk_mb": ClinicalBound(low=100.0, high=1_000_000.0, reason="an hour's samples"),
 }
 """The bounds of clinical mode, by setting; `EXEMPT` names every other number, and why it needs none."""
-
-NO_BEAM = "decides nothing about the beam"
-ADDRESS = "names a place, no limit"
-EXEMPT: Mapping[str, str] = {
-    "min_on_ms": "only lengthens a dwell",
-    "max_unwritten_ms": "the engine's own bounds are as narrow",
-    **dict.fromkeys(("beam_answer_ms", "beam_settle_ms"), "at most 150 ms everywhere, within max_latency_ms"),
-    "max_beam_on_s": "at most 30 s everywhere",
-    "sample_batch_ms": "the engine holds after max_unwritten_ms",
-    "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
-    "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
-    **dict.fromkeys(
-        ("depth_exposure_us", "laser_percent"), "changes noise and gaps, which residual, coverage and QA judge"
-    ),
-    "keep_warm_min": "a camera that was off for longer waits for warm_up_min again",
-    "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
-    "audit_clock_jump_ms": NO_BEAM,
-    "beam_notify_timeout_s": "a status message to other systems, which is no permit",
-    "beam_on_input": ADDRESS,
-    "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
-    "beam_rtu_baud": ADDRESS,
-    "beam_rtu_stop_bits": ADDRESS,
-    **dict.fromkeys(("beam_modbus_", "beam_relay_"), ADDRESS),
-    "qa_": "tolerances of QA permit nothing; the engine's bounds are those of the physicist",
-    **dict.fromkeys(
-        (
-            "port",
-            "http_",
-            "max_live_clients",
-            "live_",
-            "max_body_bytes",
-            "max_plan_bytes",
-            "readiness_keep_ms",
-            "certificate_warn_days",
-        ),
-        "HTTP service, which holds no permit",
-    ),
-    **dict.fromkeys(
-        (
-            "raw_min_free_mb",
-            "retain_",
-            "data_quota_gb",
-            "session_room_min",
-            "idempotency_days",
-            "audit_anchor_interval_s",
-        ),
-        "files and records; a full disk holds by min_free_disk_mb",
-    ),
-    **dict.fromkeys(
-        ("oidc_", "login_", "key_max_days", "audit_log_"),
-        "access and its records: an end of a log-in holds, and operator_timeout_s bounds absence",
-    ),
-}
-"""Numbers without a clinical bound, by name or by the beginning of the name, and why."""
-
-WINDOW_NUMBERS: Mapping[str, str] = {
-    "lower_mm": "window_lower_mm",
-    "upper_mm": "window_upper_mm",
-    "still_mm": "max_hold_still_mm",
-    "still_l": "max_hold_still_mm",
-    "max_drift_mm": "max_hold_drift_mm",
-    "max_drift_l": "max_hold_drift_mm",
-    "settle_ms": "min_hold_settle_ms",
-    "timeout_s": "max_breath_hold_s",
-    "min_confidence": "min_phase_confidence",
-    "dwell_ms": "min_dwell_ms",
-    "min_off_ms": "min_off_ms",
-    "max_cycles_per_min": "max_cycles_per_min",
-    "from_percent": "max_duty_percent",
-    "to_percent": "max_duty_percent",
-    "lower_percent": "window_lower_mm",
-    "upper_percent": "window_upper_mm",
-    "lower_l": "max_duty_percent",
-    "upper_l": "max_duty_percent",
-}
-"""The setting that bounds each number of a session's window."""
-WINDOW_EXEMPT: Mapping[str, str] = {
-    "row": ADDRESS,
-    "column": ADDRESS,
-    "min_on_ms": "only lengthens a dwell",
-    **dict.fromkeys(("hysteresis_mm", "hysteresis_l", "hysteresis_percent"), "only narrows the window"),
-}
-"""Numbers of a window without a bound, and why."""
-
-MEASURED = "treatment needs a measured calibration"
-RESEARCH_ONLY: Mapping[str, str] = {
-    "beam_without_calibration": MEASURED,
-    "allow_device_registration": MEASURED,
-    "checks_may_be_missing": "what no check can look at is not known to be right",
-    "recordings_may_gate": "a recording does not show the present patient",
-}
-"""Settings that must be false in clinical mode, and why."""
 
 
 def refusals(settings: BeamSettings, holding_events: Iterable[BreathEventKind]) -> tuple[str, ...]:

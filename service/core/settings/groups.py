@@ -30,6 +30,13 @@ CONNECTION_BOUNDS = {
     "max_headers": (16, 256),
     "max_url_bytes": (1_024, 16_384),
 }
+SHORTEST_KEY_BYTES = 32
+LONGEST_KEY_BYTES = 4_096
+RoomName = Annotated[str, StringConstraints(max_length=32, pattern=r"^([A-Za-z0-9][A-Za-z0-9-]*)?$")]
+"""1 to 32 letters, digits and dashes; empty is a room without a name."""
+ANCHOR_NAME = "audit-anchors.jsonl"
+LogFormat = Literal["text", "json"]
+LogLevel = Literal["debug", "info", "warning", "error"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,8 +76,6 @@ LIMIT_NAMES = tuple(one.name for one in fields(ConnectionLimits))
 
 
 # Settings of connections: time limits, sizes and numbers; see docs/3-operate/security.md.
-
-
 def _limit(name: str, description: str) -> Any:  # noqa: ANN401 - a field of any number's type
     low, high = CONNECTION_BOUNDS[name]
     return Field(default=getattr(ConnectionLimits(), name), ge=low, le=high, description=description)
@@ -102,11 +107,6 @@ class ConnectionSettings(BaseSettings):
 
 
 # Settings of RT Plans: their largest size, and the patient's reference.
-
-SHORTEST_KEY_BYTES = 32
-LONGEST_KEY_BYTES = 4_096
-
-
 class PlanSettings(BaseSettings):
     """Settings of RT Plans (docs/4-integrate/plans.md)."""
 
@@ -149,11 +149,6 @@ class PlanSettings(BaseSettings):
 
 
 # Settings of the treatment room: its name, and how the camera's picture lies relative to the couch.
-
-RoomName = Annotated[str, StringConstraints(max_length=32, pattern=r"^([A-Za-z0-9][A-Za-z0-9-]*)?$")]
-"""1 to 32 letters, digits and dashes; empty is a room without a name."""
-
-
 class RoomSettings(BaseSettings):
     """The room; see docs/2-clinical/motion.md."""
 
@@ -176,8 +171,6 @@ class RoomSettings(BaseSettings):
 
 
 # Settings of the camera itself.
-
-
 class CameraSettings(BaseSettings):
     """How the room's camera is set, and how long it runs; see docs/3-operate/cameras.md."""
 
@@ -220,8 +213,6 @@ class CameraSettings(BaseSettings):
 
 
 # Settings of raw recordings.
-
-
 class ReplaySettings(BaseSettings):
     """Raw recordings of sessions on a camera; see docs/3-operate/replay.md."""
 
@@ -237,8 +228,6 @@ class ReplaySettings(BaseSettings):
 
 
 # Settings of the HTTP contract.
-
-
 class ContractSettings(BaseSettings):
     """Lifetime of Idempotency-Keys."""
 
@@ -265,9 +254,6 @@ class StreamSettings(BaseSettings):
         le=600.0,
         description="Longest part of the record that is resent to a client that reconnects",
     )
-
-
-ANCHOR_NAME = "audit-anchors.jsonl"
 
 
 class AuditSettings(BaseSettings):
@@ -303,10 +289,6 @@ class AuditSettings(BaseSettings):
         return self.audit_anchor_file or self.data_dir / ANCHOR_NAME
 
 
-LogFormat = Literal["text", "json"]
-LogLevel = Literal["debug", "info", "warning", "error"]
-
-
 class MonitoringSettings(BaseSettings):
     """Log and readiness; see docs/3-operate/monitoring.md."""
 
@@ -327,8 +309,6 @@ class MonitoringSettings(BaseSettings):
 
 
 # Which database a site uses: the part of the settings that begins with ``database_``.
-
-
 class DatabaseSettings(BaseSettings):
     """The settings of the database; a part of :class:`service.core.settings.settings.Settings`."""
 

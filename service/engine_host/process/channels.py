@@ -39,6 +39,22 @@ LARGEST_CONTROL_BYTES = 65_536
 
 _HEAD = struct.Struct("<QI")
 _SIZE = struct.Struct("<Q")
+SLOTS = 64
+"""Flags of commands in progress; the engine's command queue has fewer places."""
+PICTURES = 3
+PICTURE_BYTES = 4 << 20
+"""A colour picture of 1280 x 1024 pixels fits; unused pages of memory are never allocated."""
+READ_S = 2.0
+"""Longest time for one reading. A copy fails only where its thread stood still for two frames of the camera."""
+_NUMBER = struct.Struct("q")
+"""Native, so that it is written as a whole; 0 where there was no picture yet."""
+_FRAME = struct.Struct("4q")
+"""Index of the frame, and the shape."""
+_HEAD_BYTES = _NUMBER.size + _FRAME.size
+_FIRST = mmap.PAGESIZE
+_STEP = _FIRST + PICTURE_BYTES
+SIZE = _FIRST + PICTURES * _STEP
+NOT_WHOLE = -1
 
 
 class ChannelClosedError(Exception):
@@ -195,24 +211,6 @@ def wake_without_the_service() -> None:
     The kernel also continues orphaned process groups; whether it does depends on the group's parents.
     """
     signal_at_parent_death(signal.SIGCONT)
-
-
-SLOTS = 64
-"""Flags of commands in progress; the engine's command queue has fewer places."""
-PICTURES = 3
-PICTURE_BYTES = 4 << 20
-"""A colour picture of 1280 x 1024 pixels fits; unused pages of memory are never allocated."""
-READ_S = 2.0
-"""Longest time for one reading. A copy fails only where its thread stood still for two frames of the camera."""
-_NUMBER = struct.Struct("q")
-"""Native, so that it is written as a whole; 0 where there was no picture yet."""
-_FRAME = struct.Struct("4q")
-"""Index of the frame, and the shape."""
-_HEAD_BYTES = _NUMBER.size + _FRAME.size
-_FIRST = mmap.PAGESIZE
-_STEP = _FIRST + PICTURE_BYTES
-SIZE = _FIRST + PICTURES * _STEP
-NOT_WHOLE = -1
 
 
 class SharedPage:

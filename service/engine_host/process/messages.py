@@ -24,6 +24,11 @@ from service.core.settings.settings import Settings
 from service.engine_host.process.channels import BulkChannel, ControlChannel, SharedPage
 from service.engine_host.roles import SessionPlan
 
+MODULE = "service.engine_host.process"
+CODE = Path(__file__).parents[3]
+"""The folder that this program was loaded from: the engine process runs the same code."""
+END_S = 5.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepare:
@@ -158,12 +163,6 @@ class EngineFailedError(TidegateError):
 def portable(error: BaseException) -> BaseException:
     """Return an error that the service can unpickle: a TidegateError itself, any other by its type's name."""
     return error if isinstance(error, TidegateError) else EngineFailedError(type(error).__name__)
-
-
-MODULE = "service.engine_host.process"
-CODE = Path(__file__).parents[3]
-"""The folder that this program was loaded from: the engine process runs the same code."""
-END_S = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

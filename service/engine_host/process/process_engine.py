@@ -31,19 +31,25 @@ from service.engine_host.process.messages import (
 from service.engine_host.process.remote_engine import RemoteEngine, begin_session, cause_of
 from service.engine_host.roles import RunningEngine, SessionPlan
 
-# The standby process: started and imported in advance, so that a session starts without delay.
-#
-# One is started at the service's start and after each session, never beside one: its imports would take a processor
-# core from the frames being measured.
-
 logger = logging.getLogger(__name__)
 
 START_S = 30.0
 LOOK_S = 0.5
 AGAIN_S = 2.0
 NONE_YET = "the engine process is being started"
+ASK_S = 10.0
+"""A driver that takes longer hangs: its process is killed, and the next request goes to the next process [s]."""
+END_WAIT_S = 5.0
+OPEN_TURN_S = 30.0
+LIST_TURN_S = 1.0
+LISTED_EARLIER = "a session or another request is using the cameras: this is the earlier list"
+NEVER_LISTED = "a session or another request is using the cameras, and they were not listed before"
 
 
+# The standby process: started and imported in advance, so that a session starts without delay.
+#
+# One is started at the service's start and after each session, never beside one: its imports would take a processor
+# core from the frames being measured.
 class StandbyProcess:
     """Keeps one process on standby while one is wanted."""
 
@@ -175,15 +181,6 @@ class StandbyProcess:
 def _reap(child: ChildProcess) -> None:
     with contextlib.suppress(OSError):
         child.reap()
-
-
-ASK_S = 10.0
-"""A driver that takes longer hangs: its process is killed, and the next request goes to the next process [s]."""
-END_WAIT_S = 5.0
-OPEN_TURN_S = 30.0
-LIST_TURN_S = 1.0
-LISTED_EARLIER = "a session or another request is using the cameras: this is the earlier list"
-NEVER_LISTED = "a session or another request is using the cameras, and they were not listed before"
 
 
 class TurnError(EngineProcessError):

@@ -19,6 +19,16 @@ from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 
 SerialCode = Literal["camera_mismatch", "serial_unknown"]
+FIELD = "calibration_id"
+FORBIDDEN = "a measured calibration: this site does not allow a camera's own registration"
+WARNING = say(
+    "no calibration: the camera's own registration and nominal geometry are used; scale and alignment of this unit "
+    "were not measured: not for treatment"
+)
+FACTORY_WARNING = say(
+    "the camera's calibration by its maker is used; scale and alignment of this unit were not measured here: not for "
+    "treatment"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,20 +72,6 @@ def _refuse_mismatch(calibration: Calibration, camera: SourceDescription) -> Non
     warning = serial_warning(calibration, camera)
     if warning is not None:
         raise CameraMismatchError(warning.text)
-
-
-FIELD = "calibration_id"
-FORBIDDEN = "a measured calibration: this site does not allow a camera's own registration"
-WARNING = say(
-    "no calibration: the camera's own registration and nominal geometry are used; scale and alignment of this unit "
-    "were not measured: not for treatment"
-)
-
-
-FACTORY_WARNING = say(
-    "the camera's calibration by its maker is used; scale and alignment of this unit were not measured here: not for "
-    "treatment"
-)
 
 
 def kind_of(camera: str) -> sessions.CalibrationKind:

@@ -15,6 +15,8 @@ from service.core.settings.settings import Settings
 
 FIELD = "source.path"
 RECORDINGS = "*.oni"
+KIND_FIELD = "source.kind"
+WARNING = say("RECORDING: a played recording, and no patient, gates a REAL beam line")
 
 
 def find_recording(path: str, folders: tuple[Path, ...], field: str = FIELD) -> Path:
@@ -86,10 +88,6 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
-
-
-KIND_FIELD = "source.kind"
-WARNING = say("RECORDING: a played recording, and no patient, gates a REAL beam line")
 
 
 def check_source(source: sessions.RecordingSource | sessions.DeviceSource, settings: Settings) -> None:

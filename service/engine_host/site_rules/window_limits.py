@@ -25,6 +25,10 @@ from service.core.settings.settings import Settings
 
 NO_REGIONS = sessions.Regions()
 NumberT = TypeVar("NumberT", int, float)
+FIELD = "head_direction"
+GANTRY_SIDE = f"{PREFIX}GANTRY_SIDE"
+HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE = "HFS", "FFS"
+SUPPORTED_POSITIONS = (HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE)
 
 
 def check_window(window: Window, settings: Settings) -> None:
@@ -194,12 +198,6 @@ def measuring_with(
         superior_px=settings.superior_px if head_direction is None else head_direction.superior_px,
         extra_markers=regions.extra_markers or settings.extra_markers,
     )
-
-
-FIELD = "head_direction"
-GANTRY_SIDE = f"{PREFIX}GANTRY_SIDE"
-HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE = "HFS", "FFS"
-SUPPORTED_POSITIONS = (HEAD_FIRST_SUPINE, FEET_FIRST_SUPINE)
 
 
 def check_head_direction(head: HeadDirection | None, settings: Settings) -> None:

@@ -24,10 +24,6 @@ from service.monitoring.certificate import ServedCertificate
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 
-# Metrics of the slots by which a department follows this room's PostgreSQL database; none for SQLite.
-#
-# The room reports them, because it is the room whose disk keeps what a department has not fetched.
-
 SLOTS = text(
     "SELECT slot_name AS name, active AS is_active, wal_status IS NOT DISTINCT FROM 'lost' AS is_lost, "
     "CASE WHEN pg_is_in_recovery() THEN NULL "
@@ -35,8 +31,22 @@ SLOTS = text(
     "pg_size_bytes(current_setting('max_slot_wal_keep_size')) AS limit_bytes "
     "FROM pg_replication_slots WHERE slot_type = 'logical' AND database = current_database() ORDER BY slot_name"
 )
+CACHE_S = 5.0
+REFUSAL_LABELS = {
+    "not logged in": "not_logged_in",
+    "foreign pages": "foreign_page",
+    "locked out": "locked_out",
+    "failed log-ins of unknown names": "unknown_name",
+    "user.login": "failed_login",
+    "access.refused": "permission_missing",
+}
+"""Metric label of each kind of refused log-in or call."""
+OTHER = "other"
 
 
+# Metrics of the slots by which a department follows this room's PostgreSQL database; none for SQLite.
+#
+# The room reports them, because it is the room whose disk keeps what a department has not fetched.
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplicationSlot:
     """How far one follower is; ``limit_bytes`` is negative where the room keeps log for it without a bound."""
@@ -70,19 +80,6 @@ def slot_metrics(slots: Sequence[ReplicationSlot]) -> Iterator[Metric]:
 
 def _family(name: str, description: str) -> GaugeMetricFamily:
     return GaugeMetricFamily(f"tidegate_replication_{name}", description, labels=["slot"])
-
-
-CACHE_S = 5.0
-REFUSAL_LABELS = {
-    "not logged in": "not_logged_in",
-    "foreign pages": "foreign_page",
-    "locked out": "locked_out",
-    "failed log-ins of unknown names": "unknown_name",
-    "user.login": "failed_login",
-    "access.refused": "permission_missing",
-}
-"""Metric label of each kind of refused log-in or call."""
-OTHER = "other"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,14 @@ from prometheus_client.registry import Collector, CollectorRegistry
 
 from service.access.request.rules import SOCKET, RuleTable
 
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", SOCKET})
+OTHER_METHOD = "other"
+NO_ROUTE = "unknown"
+"""Route label of paths without a route."""
+PAGE = "page"
+"""Route label of the page's files."""
+TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+
 
 class Metrics:
     """All counters and states, in the requested format."""
@@ -37,15 +45,6 @@ class Metrics:
         """Return all metrics and their media type; OpenMetrics if ``accept`` permits it, else Prometheus text."""
         write, media_type = choose_encoder(accept)
         return write(self._registry), media_type
-
-
-METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", SOCKET})
-OTHER_METHOD = "other"
-NO_ROUTE = "unknown"
-"""Route label of paths without a route."""
-PAGE = "page"
-"""Route label of the page's files."""
-TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
 
 class HttpCounters:

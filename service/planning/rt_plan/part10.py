@@ -35,6 +35,24 @@ SHORT = frozenset(
     | {b"ST", b"TM", b"UI", b"UL", b"US"}
 )
 NOTHING: TagSelection = {}
+PREAMBLE_BYTES = 128
+PREFIX = b"DICM"
+META_GROUP = 0x0002
+MAX_META_BYTES = 65_536
+MAX_INFLATED_BYTES = 33_554_432
+"""32 MiB, the largest inflated data set. Zeros deflate by a factor of 1000."""
+DEFLATED = "1.2.840.10008.1.2.1.99"
+OTHER_FORMATS = {
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"\x89PNG": "a PNG picture",
+    b"PK\x03\x04": "a ZIP archive",
+    b"\x1f\x8b": "a gzip archive",
+    b"%PDF": "a PDF document",
+    b"{": "JSON",
+    b"[": "JSON",
+    b"<": "XML",
+}
+"""First bytes of other file formats, named in the refusal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,31 +228,12 @@ def _too_large(value: str, bound: str, tag: int) -> PlanBoundError:
     )
 
 
-PREAMBLE_BYTES = 128
-PREFIX = b"DICM"
-META_GROUP = 0x0002
-MAX_META_BYTES = 65_536
-MAX_INFLATED_BYTES = 33_554_432
-"""32 MiB, the largest inflated data set. Zeros deflate by a factor of 1000."""
-
-DEFLATED = "1.2.840.10008.1.2.1.99"
 FORMS: Mapping[str, Form] = {
     "1.2.840.10008.1.2": IMPLICIT_LITTLE,
     "1.2.840.10008.1.2.1": EXPLICIT_LITTLE,
     DEFLATED: EXPLICIT_LITTLE,
     "1.2.840.10008.1.2.2": EXPLICIT_BIG,
 }
-OTHER_FORMATS = {
-    b"\xff\xd8\xff": "a JPEG picture",
-    b"\x89PNG": "a PNG picture",
-    b"PK\x03\x04": "a ZIP archive",
-    b"\x1f\x8b": "a gzip archive",
-    b"%PDF": "a PDF document",
-    b"{": "JSON",
-    b"[": "JSON",
-    b"<": "XML",
-}
-"""First bytes of other file formats, named in the refusal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

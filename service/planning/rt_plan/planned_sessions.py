@@ -36,16 +36,18 @@ from service.planning.rt_plan.gating import NOT_TREATED, mismatch, prescribed, r
 from service.planning.rt_plan.tags import Tag, named
 from service.sessions.records.sessions import ACTION, FromPlan, SessionRepository
 from service.storage.audit.log import AuditLog
+from service.storage.database import identities
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer
 from service.storage.database.tables import SessionRow
+
+OVERRIDES = ("overrides_plan_gating", "repeats_fraction", "overrides_contradiction")
+
 
 # The head direction that a plan's Patient Position (0018,5100) demands in this room.
 #
 # The position is in the patient setups of the fraction's treatment beams (PS3.3 C.8.8.12; terms in C.7.3.1.1.2). Only
 # supine patients are measured: the markers are ordered for a body that is seen from its front.
-
-
 def position_of(beams: Iterable[PlanBeam], setups: Iterable[PlanSetup]) -> str | None:
     """Return the position of the treatment beams; None if the plan has none.
 
@@ -97,9 +99,6 @@ def position_notes(head: HeadDirection | None, position: str | None, gantry: Hea
 def _refused(value: str, bound: str) -> PlanPositionError:
     element = named(Tag.PATIENT_POSITION)
     return PlanPositionError(f"{element} is {value}: must be {bound}", field=element, value=value, bound=bound)
-
-
-OVERRIDES = ("overrides_plan_gating", "repeats_fraction", "overrides_contradiction")
 
 
 class PlannedSessions:
@@ -235,7 +234,8 @@ class _Fraction:
 
     def _refuse_again(self, db: DbSession) -> None:
         """Refuse a fraction that was started before: only the treatment machine records the delivered dose."""
-        same = (SessionRow.rt_plan_id == self.plan_id, SessionRow.fraction_id == self.name)
+        name = identities.stored(db, self.plan.patient_reference, self.plan.label, self.name).fraction_id
+        same = (SessionRow.rt_plan_id == self.plan_id, SessionRow.fraction_id == name)
         started = db.scalar(select(SessionRow.id).where(*same, SessionRow.started_at.is_not(None)).limit(1))
         if started is not None:
             msg = f"{self.name} was started before, in session {started}; a person may repeat it, with a reason"

@@ -33,6 +33,7 @@ MAX_NUMBER = 2_147_483_647
 MAX_METERSET = 1e7
 MAX_ENERGY = 1e4
 NOT_FOR_PATIENTS = frozenset({"VERIFICATION", "MACHINE_QA", "RESEARCH", "SERVICE"})
+_UNITS = {"PHOTON": "MV", "ELECTRON": "MeV", "PROTON": "MeV/u", "ION": "MeV/u"}
 
 
 def read_plan(content: bytes) -> RtPlan:
@@ -124,9 +125,6 @@ def _beam(item: Elements, points: Tag, setups: set[int]) -> PlanBeam:
     )
 
 
-_UNITS = {"PHOTON": "MV", "ELECTRON": "MeV", "PROTON": "MeV/u", "ION": "MeV/u"}
-
-
 def _energies(points: Iterable[Elements]) -> list[float]:
     found = (point.decimal(Tag.ENERGY, 0.0, MAX_ENERGY) for point in points)
     return sorted({energy for energy in found if energy is not None})
@@ -144,6 +142,10 @@ def _groups(plan: Elements, beams: list[PlanBeam]) -> list[PlanFractionGroup]:
 def _group(item: Elements, beams: set[int]) -> PlanFractionGroup:
     given = [_fraction_beam(one, beams) for one in item.items(Tag.REFERENCED_BEAMS, most=MAX_BEAMS)]
     _each_once((one.beam_number for one in given), item, Tag.REFERENCED_BEAMS, Tag.REFERENCED_BEAM_NUMBER)
+    announced = item.integer(Tag.NUMBER_OF_BEAMS, 0, MAX_BEAMS)
+    if announced is not None and announced != len(given):
+        bound = f"the number of beams that the group refers to, {len(given)}: the gating of a missing one is not known"
+        raise item.refusal(Tag.NUMBER_OF_BEAMS, str(announced), bound)
     return PlanFractionGroup(
         number=item.number(Tag.FRACTION_GROUP_NUMBER, 0, MAX_NUMBER),
         fractions_planned=item.integer(Tag.FRACTIONS_PLANNED, 1, MAX_FRACTIONS),

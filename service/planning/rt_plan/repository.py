@@ -29,7 +29,7 @@ from service.planning.rt_plan.tags import Tag, named
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog
-from service.storage.database import queries
+from service.storage.database import identities, queries
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
 from service.storage.database.tables import PlanContradictionRow, PlanRow, SessionRow
@@ -38,6 +38,7 @@ ACTION, CONTRADICTED = "plan.import", "plan.contradicted"
 REJECTED = "REJECTED"
 MAX_CONCURRENT = 2
 """Files in memory at a time: each may have the site's maximum size and is read while the gate runs."""
+COLUMNS = ("id", "kind", "sop_instance_uid", "patient_reference", "label", "gating", "imported_by", "created_at")
 
 
 class PlanRepository:
@@ -176,9 +177,6 @@ def _detail(row: PlanRow, sha256: str, *, is_known: bool) -> dict[str, object]:
     return {"rt_plan_id": row.id, "sha256": sha256, "is_new": not is_known, **fields}
 
 
-COLUMNS = ("id", "kind", "sop_instance_uid", "patient_reference", "label", "gating", "imported_by", "created_at")
-
-
 def plan_row(db: Session, plan_id: str) -> PlanRow:
     """Return the row of a plan; raise NotFoundError if there is none."""
     row = db.get(PlanRow, plan_id)
@@ -236,10 +234,12 @@ def page(db: Session, cursor: str | None, limit: int, wanted: PlanFilter = ALL_P
     filters: list[ColumnElement[bool]] = [column == value for column, value in named_by if value is not None]
     filters += queries.containing(wanted.search, PlanRow.patient_reference, PlanRow.label)
     rows, next_cursor = queries.newest_first(db, PlanRow, cursor, limit, filters)
-    done = _done(db, {row.patient_reference for row in rows})
-    return PlanPage(
-        items=[_summary(row, done.get((row.patient_reference, row.label), [])) for row in rows], next_cursor=next_cursor
-    )
+    named = [identities.stored(db, row.patient_reference, row.label) for row in rows]
+    done = _done(db, {one.patient_reference for one in named})
+    items = [
+        _summary(row, done.get((one.patient_reference, one.plan_id), [])) for row, one in zip(rows, named, strict=True)
+    ]
+    return PlanPage(items=items, next_cursor=next_cursor)
 
 
 def _done(db: Session, patients: set[str]) -> dict[tuple[str, str], list[SessionRow]]:

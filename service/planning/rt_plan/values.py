@@ -19,6 +19,8 @@ DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,4})?")
 DATE = re.compile(r"[0-9]{8}")
 ESCAPE = b"\x1b"
 PIECES = re.compile(rb"[^\x1b]+|\x1b[^\x1b]*")
+NO_ESCAPES = frozenset({"iso_ir_58"})
+"""Codecs that pydicom gives the escape sequence to, and that keep it as text: GB 2312 has no state in Python."""
 NO_ENCODING: tuple[str, ...] = ("ascii",)
 SHOWN = 40
 
@@ -146,7 +148,8 @@ def _piece(piece: bytes, encodings: Sequence[str]) -> str:
     if encoding not in encodings:
         msg = "escape sequence of a character set that is not declared"
         raise LookupError(msg)
-    return (piece if encoding in handled_encodings else piece[length:]).decode(encoding)
+    takes_escape = encoding in handled_encodings and encoding not in NO_ESCAPES
+    return (piece if takes_escape else piece[length:]).decode(encoding)
 
 
 def _elements(values: Item, place: str, around: tuple[str, ...]) -> Elements:

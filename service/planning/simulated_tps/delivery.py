@@ -20,6 +20,13 @@ from service.planning.simulated_tps.report import BeamReport
 
 US_PER_S = 1e6
 BEAM_ON = "beam_on"
+BREAK_PROBABILITY = 1 / 400
+SLOW_READ_PROBABILITY = 1 / 300
+SLOW_READ_S = (0.3, 1.5)
+FAULTS = ("answer lost", "never sent", "sent twice")
+FAULT_PROBABILITY = 0.3
+RETRIES = 8
+"""One attempt in five fails: this many consecutive failures are practically impossible."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,15 +151,6 @@ class DeliveredBeams:
             BeamReport(number=beam.number, name=beam.name, planned_s=beam.seconds, delivered_s=round(delivered_s, 3))
             for beam, delivered_s in zip(self._beams, self._delivered_s, strict=True)
         )
-
-
-BREAK_PROBABILITY = 1 / 400
-SLOW_READ_PROBABILITY = 1 / 300
-SLOW_READ_S = (0.3, 1.5)
-FAULTS = ("answer lost", "never sent", "sent twice")
-FAULT_PROBABILITY = 0.3
-RETRIES = 8
-"""One attempt in five fails: this many consecutive failures are practically impossible."""
 
 
 class FaultInjectingClient(TidegateClient):

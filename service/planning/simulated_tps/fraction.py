@@ -27,8 +27,6 @@ from service.planning.simulated_tps.session_driver import (
     SessionDriver,
 )
 
-# Compare the live stream of a session with the service's records: frames, beam-on time, transitions, audit.
-
 MAX_DIFFERENCE_S = 0.1
 """Largest difference of beam-on time besides gaps: each beam edge lies between two frames."""
 
@@ -44,8 +42,11 @@ MAX_HOLD_DELAY_S, MAX_STOP_DELAY_S = 1.0, 5.0
 LOST_IN_A_KILL_S = 1.0
 FRAME_S = 1 / 30
 STARTED = ("session.start",)
+RESUMABLE = frozenset({"interrupted", "failed"})
+MAX_SESSIONS = 5
 
 
+# Compare the live stream of a session with the service's records: frames, beam-on time, transitions, audit.
 def checked(
     session_id: str, clock: BeamClock, announced_missing: int, tps: TidegateClient, folder: Path
 ) -> SessionReport:
@@ -128,10 +129,6 @@ def _time_troubles(clock: BeamClock, record: Recorded, *, is_killed: bool, unrec
         yield f"beam-on time differs by {difference_s:.3f} s between the stream and the recorder"
     if unrecorded * FRAME_S > lost_s + FRAME_S:
         yield f"{unrecorded} frames were seen live and are not in the recorder"
-
-
-RESUMABLE = frozenset({"interrupted", "failed"})
-MAX_SESSIONS = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from pydicom.dataset import Dataset
 from engine.core.errors import TidegateError
 
+MU_PER_MIN = 600.0
+"""Dose rate that converts a meterset to seconds if no beam time is given."""
+RT_PLAN_STORAGE = "1.2.840.10008.5.1.4.1.1.481.5"
+IMPLEMENTATION_UID = "1.2.826.0.1.3680043.8.498.1"
+BUILT_IN_BEAMS = (("G0 AP", 40.0), ("G90 LAT", 30.0))
+NOT_TREATED = frozenset({"SETUP", "OPEN_PORTFILM", "TRMT_PORTFILM"})
+
 
 class TpsError(TidegateError):
     """The simulated planning system cannot continue; the message gives the reason."""
@@ -36,15 +43,6 @@ class SessionOverError(TpsError):
     def __init__(self, status: str, detail: str) -> None:
         self.status = status
         super().__init__(f"the session is {status}: {detail or 'no reason given'}")
-
-
-MU_PER_MIN = 600.0
-"""Dose rate that converts a meterset to seconds if no beam time is given."""
-
-RT_PLAN_STORAGE = "1.2.840.10008.5.1.4.1.1.481.5"
-IMPLEMENTATION_UID = "1.2.826.0.1.3680043.8.498.1"
-BUILT_IN_BEAMS = (("G0 AP", 40.0), ("G90 LAT", 30.0))
-NOT_TREATED = frozenset({"SETUP", "OPEN_PORTFILM", "TRMT_PORTFILM"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,6 +35,9 @@ from service.storage.database.engine import Database
 from service.storage.database.tables import QaOutcomeRow, QaResultRow, QaRunRow
 
 MEDIAN, P95, WORST, UNCERTAINTY = (f"camera_latency{end}_ms" for end in ("", "_p95", "_worst", "_uncertainty"))
+COMMAND = "tidegate qa latency"
+ADVICE = f"measure it ({COMMAND}; docs/2-clinical/latency.md)"
+SETTING = setting_name("camera_latency_ms")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,11 +106,6 @@ def _measured(db: Session, run: QaRunRow, outcome: QaOutcomeRow) -> MeasuredLate
         uncertainty_ms=values.get(UNCERTAINTY, math.inf),
         verdict=cast("Verdict", outcome.verdict or "fail"),
     )
-
-
-COMMAND = "tidegate qa latency"
-ADVICE = f"measure it ({COMMAND}; docs/2-clinical/latency.md)"
-SETTING = setting_name("camera_latency_ms")
 
 
 def counted_latency_ms(db: Session, settings: Settings, serial: str) -> float:

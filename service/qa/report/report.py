@@ -19,8 +19,6 @@ from service.qa.report.style import COMMANDED, INK, LINE, LOOKS, MEASURED, PALE,
 from service.qa.report.table import ROW_IN, TALL_ROW_IN, paint_head, paint_table, table_rows
 from service.qa.schemas import QaRunDetail, QaSeries, QaTrend, QaTrendPoint
 
-# Plots of a QA report: measured series, and the trend of each check with the site's bounds.
-
 STYLES = (
     {"color": COMMANDED, "linestyle": "--", "linewidth": 0.8},
     {"color": MEASURED, "linestyle": "-", "linewidth": 0.9},
@@ -31,8 +29,23 @@ FEW_POINTS = 60
 HEADROOM = 1.45
 LEGEND_SHARE = 0.18
 LEAST_SPAN_MM = 2.0
+WIDTH_IN, HEIGHT_IN, MARGIN_IN = 8.27, 11.69, 0.55
+HEAD_IN, HEADING_IN, FOOT_IN = 1.75, 0.3, 0.65
+TREND_IN, SERIES_IN, GAP_IN = 1.0, 1.5, 0.42
+MOST_STRETCH, INDENT_IN = 1.3, 0.36
+TRENDS_IN_ROW, SERIES_IN_ROW = 4, 2
+MOST_TRENDS, MOST_SERIES = 16, 6
+KEY_CHECKS = (
+    *("camera_distance_mm", "camera_tilt_x_deg", "camera_tilt_y_deg", "plate_noise_mm"),
+    *("plate_drift_mm", "plate_flatness_mm", "motion_offset_mm", "motion_error_mm", "motion_lag_ms"),
+    *("gate_mean_delay_ms", "gate_delay_difference_ms", "duty_cycle_change_percent"),
+    *("treatment_beam_off_ms", "hold_to_beam_off_ms", "beam_readback_off_ms", "fail_safe_hold_ms"),
+)
+TREND_WORDS = "Trend of the newest runs: deviation, or the figure itself; dashed warns, beyond the solid line fails"
+METADATA = {"Title": "Tidegate QA report", "Creator": "Tidegate", "Producer": None, "CreationDate": None}
 
 
+# Plots of a QA report: measured series, and the trend of each check with the site's bounds.
 def paint_trend(panel: Axes, trend: QaTrend) -> None:
     """Draw a check's deviation per run: dashed line warn, solid line fail, newest run ringed."""
     plain_axes(panel, trend.title, size=6.0)
@@ -145,22 +158,6 @@ def _paint_point(panel: Axes, at: int, one: QaTrendPoint, top: float, *, is_newe
         )
     if is_newest:
         panel.plot([at], [shown], "o", color=INK, markersize=7.5, markerfacecolor="none", markeredgewidth=0.7, zorder=5)
-
-
-WIDTH_IN, HEIGHT_IN, MARGIN_IN = 8.27, 11.69, 0.55
-HEAD_IN, HEADING_IN, FOOT_IN = 1.75, 0.3, 0.65
-TREND_IN, SERIES_IN, GAP_IN = 1.0, 1.5, 0.42
-MOST_STRETCH, INDENT_IN = 1.3, 0.36
-TRENDS_IN_ROW, SERIES_IN_ROW = 4, 2
-MOST_TRENDS, MOST_SERIES = 16, 6
-KEY_CHECKS = (
-    *("camera_distance_mm", "camera_tilt_x_deg", "camera_tilt_y_deg", "plate_noise_mm"),
-    *("plate_drift_mm", "plate_flatness_mm", "motion_offset_mm", "motion_error_mm", "motion_lag_ms"),
-    *("gate_mean_delay_ms", "gate_delay_difference_ms", "duty_cycle_change_percent"),
-    *("treatment_beam_off_ms", "hold_to_beam_off_ms", "beam_readback_off_ms", "fail_safe_hold_ms"),
-)
-TREND_WORDS = "Trend of the newest runs: deviation, or the figure itself; dashed warns, beyond the solid line fails"
-METADATA = {"Title": "Tidegate QA report", "Creator": "Tidegate", "Producer": None, "CreationDate": None}
 
 
 def report_pdf(run: QaRunDetail, trends: Sequence[QaTrend]) -> bytes:

@@ -21,6 +21,8 @@ from service.core.schemas.sentences import sentence_parts
 CLEAR_NS = NS_PER_S
 """A condition that is absent for less than this counts as lasting, so that a flickering one is one alarm."""
 KEPT_EVENTS = 4096
+UNKNOWN = HoldReason.UNKNOWN.value
+BEAM_WITHOUT_PERMIT = HoldReason.BEAM_WITHOUT_PERMIT.value
 
 
 class AlarmEventKind(StrEnum):
@@ -230,10 +232,6 @@ def live_alarms(alarms: Iterable[Alarm]) -> list[LiveAlarm]:
 def live_alarm_event(event: AlarmEvent) -> LiveAlarmEvent:
     """Return a change of an alarm."""
     return LiveAlarmEvent(number=event.number, kind=event.kind.value, at=event.at, alarm=live_alarm(event.alarm))
-
-
-UNKNOWN = HoldReason.UNKNOWN.value
-BEAM_WITHOUT_PERMIT = HoldReason.BEAM_WITHOUT_PERMIT.value
 
 
 def gate_conditions(view: LiveView) -> dict[str, str]:

@@ -40,6 +40,7 @@ AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, SetWindow, Acknowledge, Cou
 """Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command
 that takes permission away has no age: it revokes everything that was submitted before it."""
 TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
+ACTION = "session.acknowledge"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,9 +142,6 @@ def _refuse_late(command: Command) -> None:
     if isinstance(command, AGES_FROM_ARRIVAL) and time.monotonic_ns() - request_time_ns() > MAX_WAIT_NS:
         msg = "the service was busy for too long: check the session, then try again"
         raise CommandRefusedError(msg)
-
-
-ACTION = "session.acknowledge"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

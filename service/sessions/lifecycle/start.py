@@ -11,6 +11,7 @@ from engine import __version__
 from engine.calibration import parse_calibration
 from engine.control import LoopStatus
 from engine.core.errors import TidegateError
+from engine.core.fraction_arming import read_fraction_arming
 from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_patient
 from engine.core.reference import read_first_reference
 from engine.core.sentences import say
@@ -40,9 +41,16 @@ from service.storage.samples.layout import SampleHead
 from service.storage.samples.recorder import SampleRecorder
 from service.storage.samples.store import SampleStore
 
+SOFTWARE = f"tidegate {__version__}"
+WRITER_JOIN_S = 10.0
+WRITER_BUSY_TIMEOUT_S = 0.5
+WRITER_ANSWER_TIMEOUT_S = 1.0
+START_TIMEOUT_S = 5.0
+START_POLL_S = 0.01
+MIB = 1024 * 1024
+
+
 # The metadata of a session's sample file: software, settings, calibration and model.
-
-
 def sample_head(plan: SessionPlan, settings: Settings, anchor: TimeAnchor) -> SampleHead:
     """Make the head of a session's file."""
     return SampleHead(
@@ -58,23 +66,11 @@ def sample_head(plan: SessionPlan, settings: Settings, anchor: TimeAnchor) -> Sa
 
 
 # The origin that a learned motion model is stored with: patient, source and software.
-
-SOFTWARE = f"tidegate {__version__}"
-
-
 def model_origin(plan: SessionPlan) -> ModelOrigin:
     """Return the origin of models learned in this session; the writer adds the time when it stores one."""
     camera = plan.source.uri if isinstance(plan.source, sessions.DeviceSource) else None
     source = camera or "camera" if plan.recording is None else plan.recording.name
     return ModelOrigin(patient=plan.patient_reference, source=source[-MAX_TEXT:], software=SOFTWARE)
-
-
-WRITER_JOIN_S = 10.0
-WRITER_BUSY_TIMEOUT_S = 0.5
-WRITER_ANSWER_TIMEOUT_S = 1.0
-START_TIMEOUT_S = 5.0
-START_POLL_S = 0.01
-MIB = 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,6 +130,7 @@ class SessionStarter:
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
             first, position = queries.first_reference_of(db, row), queries.plan_position_of(db, row)
+            armed = queries.fraction_arming_of(db, row)
             calibration = parse_calibration(document.encode())
             plan = SessionPlan(
                 session_id=session_id,
@@ -152,6 +149,7 @@ class SessionStarter:
                 head_direction=head_of_row(row.head_direction),
                 first_reference=None if first is None else read_first_reference(first.document),
                 plan_position=None if position is None else read_first_reference(position.document),
+                fraction_arming=None if armed is None else read_fraction_arming(armed.document),
                 plan_session_id=None if position is None else position.session_id,
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
@@ -160,6 +158,7 @@ class SessionStarter:
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
             detail |= {} if plan.camera_latency_ms is None else {"camera_latency_ms": plan.camera_latency_ms}
             detail |= {} if first is None else {"first_reference_of_session": first.session_id}
+            detail |= {} if armed is None else {"arming_of_session": armed.session_id}
             detail |= {} if position is None else {"position_of_session": position.session_id}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan

@@ -33,6 +33,7 @@ TOLERANCE_MM = 1.0
 
 MOVED_WITHIN_S = 0.3
 POLL_S = 0.02
+ACTION = "session.window"
 
 
 def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, settings: Settings) -> None:
@@ -124,9 +125,6 @@ def window_detail(view: LiveView) -> list[dict[str, object]]:
 
 def _broken(field: str, value: float, bound: str) -> BoundError:
     return BoundError(f"{field} must be {bound}", field=field, value=value, bound=bound)
-
-
-ACTION = "session.window"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

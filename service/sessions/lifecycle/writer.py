@@ -121,6 +121,7 @@ class SessionWriter(threading.Thread):
         self._is_hurried = False
         self._settled: Settlement | None = None
         self._recorded_model_id: str | None = None
+        self._arming = engine.status.fraction_arming
         self.active_model_id: str | None = None
         self.body: BodyMatch | None = None
 
@@ -149,6 +150,7 @@ class SessionWriter(threading.Thread):
                 self._try(self._write_audit, is_last=is_over)
                 self._try(self._write_samples, is_last=is_over)
                 self._try(self._store_model, is_last=is_over)
+                self._try(self._store_arming, is_last=is_over)
                 self._check_disk()
             self._is_complete = True
         finally:
@@ -246,6 +248,15 @@ class SessionWriter(threading.Thread):
     def _write_samples(self) -> None:
         for record in self._recorder.write_due(is_last=self._engine.status.is_over):
             self._counters.frame(record)
+
+    def _store_arming(self) -> None:
+        """Store what the fraction was armed with, if this session has changed it since the last call."""
+        arming = self._engine.status.fraction_arming
+        if arming is None or arming == self._arming:
+            return
+        with self._database.write() as db:
+            queries.session_row(db, self._session_id).fraction_arming = arming.to_json()
+        self._arming = arming
 
     def _store_model(self) -> None:
         """Store the model in use, if the engine has changed it since the last call."""

@@ -44,6 +44,11 @@ from service.storage.database.tables import CalibrationRow, ModelRow, SessionRow
 from service.storage.files.motion_models import ModelStore
 
 ACTION = "calibration.upload"
+_US_PER_S = 1_000_000
+_NOT_READ = dict.fromkeys(("bytes", "modified_at", "seconds", "width_px", "height_px", "fps", "has_color", "mirrored"))
+MAP_STRIDE = 4
+"""Rows and columns of the region's grid between two values of a model's maps."""
+DECIMALS = 2
 
 
 class CalibrationRepository:
@@ -119,10 +124,6 @@ def _calibration(row: CalibrationRow) -> schemas.Calibration:
     )
 
 
-_US_PER_S = 1_000_000
-_NOT_READ = dict.fromkeys(("bytes", "modified_at", "seconds", "width_px", "height_px", "fps", "has_color"))
-
-
 class RecordingList:
     """Lists the files of the site's recording folders, read at each call: files come and go without the service."""
 
@@ -171,13 +172,9 @@ def _read(path: str, file: Path) -> Recording:
             height_px=depth.size_px[1],
             fps=depth.fps,
             has_color=reader.color is not None,
-            problem=None,
+            mirrored=reader.mirrored,
+            problem=reader.impossible_start(),
         )
-
-
-MAP_STRIDE = 4
-"""Rows and columns of the region's grid between two values of a model's maps."""
-DECIMALS = 2
 
 
 class ModelRepository:

@@ -25,6 +25,27 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
 
+DECISIONS = (
+    "session.create",
+    "session.start",
+    "session.reference",
+    "session.position_check",
+    "session.countersign",
+    "session.arm",
+    "session.disarm",
+    "session.hold",
+    "session.release",
+    "session.acknowledge",
+    "session.baseline_correction",
+    "session.window",
+    "session.stop",
+    "session.close",
+    "model.retrain",
+    "model.apply",
+    "model.activate",
+)
+LONGEST_WAIT_S = 2.0
+
 
 class Withdrawals:
     """Number of holds, disarms and stops per session; changes the ETag."""
@@ -49,28 +70,6 @@ class Withdrawals:
     def _increment(self, session_id: str) -> None:
         with self._lock:
             self._counts[session_id] += 1
-
-
-DECISIONS = (
-    "session.create",
-    "session.start",
-    "session.reference",
-    "session.position_check",
-    "session.countersign",
-    "session.arm",
-    "session.disarm",
-    "session.hold",
-    "session.release",
-    "session.acknowledge",
-    "session.baseline_correction",
-    "session.window",
-    "session.stop",
-    "session.close",
-    "model.retrain",
-    "model.apply",
-    "model.activate",
-)
-LONGEST_WAIT_S = 2.0
 
 
 class SessionRevisions:

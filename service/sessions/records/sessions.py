@@ -44,7 +44,7 @@ from service.sessions.views.position import live_position_check, live_reference,
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
 from service.storage.audit.log import AuditLog
-from service.storage.database import queries
+from service.storage.database import identities, queries
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
 from service.storage.database.tables import AuditRow, CalibrationRow, SessionRow
@@ -56,6 +56,9 @@ SAME = (
     *("patient_reference", "plan_id", "fraction_id", "fraction_number", "rt_plan_id", "is_simulated_beam"),
     *("window", "regions", "head_direction", "calibration_id"),
 )
+ACTION = "session.create"
+ARMING = ("session.arm", "session.release")
+SOURCE: TypeAdapter[sessions.RecordingSource | sessions.DeviceSource] = TypeAdapter(sessions.Source)
 
 
 def continued(db: Session, row: SessionRow) -> dict[str, object]:
@@ -99,11 +102,6 @@ def delivered_before_s(db: Session, row: SessionRow) -> float | None:
 
 def _refusal(value: str, bound: str, advice: str) -> BoundError:
     return BoundError(f"{FIELD} must be {bound}: {advice}", field=FIELD, value=value, bound=bound)
-
-
-ACTION = "session.create"
-ARMING = ("session.arm", "session.release")
-SOURCE: TypeAdapter[sessions.RecordingSource | sessions.DeviceSource] = TypeAdapter(sessions.Source)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,6 +163,8 @@ class SessionRepository:
             earlier = self._earlier_or_free(db, request, key, body, plan)
             if earlier is not None:
                 return IdempotentAnswer(answer=earlier, is_replay=True)
+            identity = identities.keep(db, request.patient_reference, request.plan_id, request.fraction_id)
+            request = request.model_copy(update=identity._asdict())
             calibration = self._calibration(db, request, nominal)
             _refuse_other_model(db, request, calibration)
             row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)

@@ -10,13 +10,13 @@ from importlib.resources import files
 import typst
 
 from service.core.schemas.reports import Range, SessionReport
-from service.core.schemas.windows import Window
 from service.sessions.report.picture import trace_svg
 from service.sessions.report.reports import StoredReport
 
 NONE = "\N{EN DASH}"
 NOTE = "Research and commissioning only; not cleared for clinical use. Times of permitted beam are not a dose."
 TEMPLATE = "report.typ"
+DIFFERS = "This is not what was signed, or not what the audit has"
 _STYLE = (
     "body{font:15px/1.4 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#131a20}h1{font-size:1.5em}"
     "h2{font-size:1.05em;border-bottom:1px solid #ccd5dd;margin:1.4em 0 .3em}table{border-collapse:collapse;width:100%}"
@@ -42,6 +42,7 @@ def report_pdf(stored: StoredReport) -> bytes:
     document = {
         "title": _title(report),
         "note": NOTE,
+        "warnings": report.differs,
         "svg": trace_svg(stored.columns),
         "unsigned": _missing_signatures(report),
         "date": [made_at.year, made_at.month, made_at.day],
@@ -68,6 +69,7 @@ def report_html(stored: StoredReport) -> str:
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f"<title>{html.escape(_title(report))}</title><style>{_STYLE}</style></head><body>",
+        *(f"<p class='warning'><strong>{html.escape(one)}</strong></p>" for one in report.differs),
         f"<h1>{html.escape(_title(report))}</h1><p class='note'>{html.escape(NOTE)}</p>{trace_svg(stored.columns)}",
     ]
     for section in sections(report):
@@ -82,6 +84,7 @@ def report_html(stored: StoredReport) -> str:
 def sections(report: SessionReport) -> list[Section]:
     """Return everything that the report states, in its order."""
     return [
+        *([Section(title=DIFFERS, rows=[[one] for one in report.differs])] if report.differs else []),
         Section(title="Session", rows=list(_session(report))),
         Section(title="To be looked at", rows=[[one] for one in report.deviations or ["nothing"]]),
         Section(title="Beam", rows=list(_beam(report))),
@@ -120,28 +123,14 @@ def _session(report: SessionReport) -> Iterator[list[str]]:
     yield ["state", session.status]
     yield ["time", f"{_at(session.started_at)} to {_at(session.ended_at)} UTC"]
     yield ["created by", session.operator]
-    yield ["window, as prescribed", window_text(session.window)]
+    for one in report.windows:
+        reason = f" ({one.reason})" if one.reason else ""
+        yield [f"window, {one.at.astimezone(UTC):%H:%M:%S} {one.actor}", f"{one.text}{reason}"]
     yield [
         "source",
         session.source.path if session.source.kind == "recording" else session.source.uri or "first camera",
     ]
     yield ["session", report.session_id]
-
-
-def window_text(window: Window) -> str:
-    """Return the conditions of a window in words, with their edges and the dwell."""
-    stated = window.model_dump(exclude_none=True)
-    further = stated.pop("further", [])
-    join = f" {stated.pop('join', 'and')} "
-    return join.join(_condition(one) for one in [stated, *further]) + f"; dwell {window.dwell_ms:g} ms"
-
-
-def _condition(one: dict[str, object]) -> str:
-    edges = [(name, one[name]) for name in one if name.startswith(("lower_", "upper_", "from_", "to_"))]
-    unit = next((name.partition("_")[2] for name, _ in edges), "")
-    low_high = " to ".join(f"{value:g}" for _, value in edges if isinstance(value, int | float))
-    unit = {"percent": "% of the breath"}.get(unit, unit)
-    return f"{str(one['kind']).replace('_', ' ')} of {one.get('name') or one['signal']}, {low_high} {unit}".rstrip()
 
 
 def _beam(report: SessionReport) -> Iterator[list[str]]:
@@ -205,13 +194,15 @@ def _position(report: SessionReport) -> Iterator[list[str]]:
 
 def _signatures(report: SessionReport) -> Iterator[list[str]]:
     for one in report.signatures:
-        yield [one.name, f"{'signed' if one.is_signed else 'noted'} {_at(one.at)}{f': {one.note}' if one.note else ''}"]
+        other = "" if one.is_of_this or not one.is_signed else ", another content"
+        act = f"{'signed' if one.is_signed else 'noted'} {_at(one.at)}{other}"
+        yield [one.name, f"{act}{f': {one.note}' if one.note else ''}"]
 
 
 def _missing_signatures(report: SessionReport) -> list[str]:
     """Return the lines that are left for pen and paper."""
     names = ("checked by, date", "second person, date")
-    return list(names[sum(one.is_signed for one in report.signatures) :])
+    return list(names[sum(one.is_signed and one.is_of_this for one in report.signatures) :])
 
 
 def _events(report: SessionReport) -> Iterator[list[str]]:
@@ -223,6 +214,7 @@ def _events(report: SessionReport) -> Iterator[list[str]]:
 def _versions(report: SessionReport) -> Iterator[list[str]]:
     yield ["Tidegate", report.software or NONE]
     yield ["model", report.model or NONE]
+    yield ["content of this report, SHA-256", report.content_sha256]
     yield ["samples, SHA-256", report.samples_sha256 or NONE]
     yield ["calibration, SHA-256", report.calibration_sha256 or NONE]
     yield ["settings, SHA-256", report.settings_sha256 or NONE]

@@ -18,14 +18,17 @@ from service.core.schemas.reports import (
     ReportEvent,
     ReportFigures,
     ReportSignature,
+    ReportWindow,
     SessionReport,
     SignatureRequest,
     SignedDegree,
 )
 from service.core.schemas.sessions import Session
+from service.core.schemas.windows import Window
 from service.sessions.records.sessions import session_answer
 from service.sessions.report.figures import SampleColumns, read_columns, report_figures
-from service.storage.audit.chain import Event
+from service.sessions.report.window_words import window_text
+from service.storage.audit.chain import Event, canonical_json, seal
 from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
@@ -49,6 +52,8 @@ ACTIONS = {
     "session.position_check": "position signed",
     "session.countersign": "countersigned",
     "session.signature": "report signed or noted",
+    "model.reference_set": "reference taken up",
+    "model.zero_needed": "reference needed again",
     "model.retrain": "trained again",
     "model.activate": "stored model chosen",
     "model.apply": "new model taken up",
@@ -72,6 +77,8 @@ REASONED = frozenset(
     {"session.arm", "session.reference", "session.window", "session.baseline_correction", "session.position_check"}
 )
 """Acts whose reason says that a limit of the site was exceeded."""
+HEAD = ("patient_reference", "plan_id", "fraction_id", "fraction_number", "operator", "calibration_id")
+"""Of a session's record what the audit has too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,10 +90,16 @@ class StoredReport:
 
 
 class ReportService:
-    """Makes reports of sessions that are over."""
+    """Makes reports of sessions that are over.
 
-    def __init__(self, database: Database, store: SampleStore) -> None:
-        self._database, self._store = database, store
+    Parameters
+    ----------
+    needs_two
+        Whether the site asks for a second person: then two sign, and not both of them have armed.
+    """
+
+    def __init__(self, database: Database, store: SampleStore, *, needs_two: bool = False) -> None:
+        self._database, self._store, self._needs_two = database, store, needs_two
         self._log = AuditLog(database)
         self._signing = threading.Lock()
 
@@ -102,13 +115,12 @@ class ReportService:
         # One at a time: of two calls of one person at once, the second sees the first one's signature.
         with self._signing, self._log.refusals(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail):
             present = self.of(session_id).report
-            if request.samples_sha256 != present.samples_sha256:
+            if request.content_sha256 != present.content_sha256:
                 bound = "that of the report as it is now: read it again"
-                msg = f"samples_sha256 must be {bound}"
-                raise SessionStateError(msg, field="samples_sha256", value=request.samples_sha256, bound=bound)
-            if request.is_signed and any(one.is_signed and one.name == actor for one in present.signatures):
-                msg = f"{actor} has signed this report already: the second signature is another person's"
-                raise SessionStateError(msg, field="operator", value=actor, bound="a person who has not signed")
+                msg = f"content_sha256 must be {bound}"
+                raise SessionStateError(msg, field="content_sha256", value=request.content_sha256, bound=bound)
+            if request.is_signed:
+                _refuse_signer(present, actor)
             self._log.write(Event(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail))
         return self.of(session_id).report
 
@@ -130,6 +142,7 @@ class ReportService:
             SampleService(self._database, self._store).refuse_removed(session_id, row.summary)
             session = session_answer(row)
             rows = list(_rows(db, session_id))
+            session, differs = _as_audited(session, rows)
             calibration = db.scalar(select(CalibrationRow.sha256).where(CalibrationRow.id == row.calibration_id)) or ""
             newest = db.scalar(
                 select(ModelRow).where(ModelRow.session_id == session_id).order_by(ModelRow.number.desc())
@@ -141,19 +154,22 @@ class ReportService:
         report = SessionReport(
             session_id=session_id,
             session=session,
+            differs=differs,
+            windows=list(_windows(session, rows)),
             figures=figures,
             events=list(_events(rows)),
             deviations=list(_deviations(session, figures, rows)),
             position=_position(rows),
-            signatures=list(_signatures(rows)),
-            signatures_needed=2 if _is_beyond(rows) else 1,
+            signatures=[],
+            signatures_needed=2 if self._needs_two or _is_beyond(rows) else 1,
             model=model,
             software="" if head is None else head.software,
+            content_sha256="",
             samples_sha256=_sha256(self._store.parquet_path(session_id)),
             calibration_sha256=calibration,
             settings_sha256="" if head is None else head.settings_sha256,
         )
-        return StoredReport(report, columns)
+        return StoredReport(_signed(report, rows), columns)
 
 
 def refuse_open(row: SessionRow) -> None:
@@ -172,6 +188,7 @@ class _Row:
     action: str
     outcome: str
     detail: dict[str, Any]
+    is_sealed: bool = True
 
     @property
     def is_fault(self) -> bool:
@@ -183,8 +200,83 @@ def _rows(db: DatabaseSession, session_id: str) -> Iterator[_Row]:
     query = select(AuditRow).where(AuditRow.session_id == session_id).order_by(AuditRow.sequence)
     for row in db.scalars(query):
         yield _Row(
-            at=row.at, actor=row.actor, action=row.action, outcome=row.outcome, detail=json.loads(row.detail or "{}")
+            at=row.at,
+            actor=row.actor,
+            action=row.action,
+            outcome=row.outcome,
+            detail=json.loads(row.detail or "{}"),
+            is_sealed=seal(row) == row.hash,
         )
+
+
+def _as_audited(session: Session, rows: Sequence[_Row]) -> tuple[Session, list[str]]:
+    """Return the session as the audit has it, and what the database states otherwise: its row can be changed."""
+    differs = [] if all(row.is_sealed for row in rows) else ["a row of the audit was changed: tidegate audit verify"]
+    created = next((row for row in rows if row.action == "session.create" and row.outcome == "done"), None)
+    if created is None:
+        return session, [*differs, "the audit does not have how the session was created"]
+    stated = {name: created.detail[name] for name in HEAD if name in created.detail}
+    for name, value in stated.items():
+        if getattr(session, name) != value:
+            differs.append(f"the database states {name} {getattr(session, name)!r}, and the audit {value!r}")
+    window = Window.model_validate(created.detail["window"]) if "window" in created.detail else session.window
+    set_later = [row.detail["window"] for row in rows if _is_done(row, "session.window") and "window" in row.detail]
+    newest = Window.model_validate(set_later[-1]) if set_later else window
+    if session.window != newest:
+        differs.append("the database states another window than the audit")
+    return session.model_copy(update={**stated, "window": window}), differs
+
+
+def _is_done(row: _Row, action: str) -> bool:
+    return row.action == action and row.outcome == "done"
+
+
+def _windows(session: Session, rows: Sequence[_Row]) -> Iterator[ReportWindow]:
+    """Yield the prescribed window, then each one that was set or moved, with who and when."""
+    for row in rows:
+        at, reason = datetime.fromisoformat(row.at), str(row.detail.get("reason") or "")
+        if _is_done(row, "session.create"):
+            text = f"as prescribed: {window_text(session.window)}"
+        elif _is_done(row, "session.window"):
+            text = f"set to {window_text(Window.model_validate(row.detail['window']))}"
+        elif _is_done(row, "session.baseline_correction"):
+            text = f"moved by {row.detail.get('by', 0.0):+g}, with the drift"
+        else:
+            continue
+        yield ReportWindow(at=at, actor=row.actor, text=text, reason=reason)
+
+
+def _signed(report: SessionReport, rows: Sequence[_Row]) -> SessionReport:
+    """Return the report with the hash of its content, and the signatures compared with it."""
+    signing = {"signatures", "signatures_needed", "content_sha256", "events"}
+    content = report.model_dump(mode="json", exclude=signing)
+    content["events"] = [one.model_dump(mode="json") for one in report.events if one.action != SIGNATURE]
+    content_sha256 = hashlib.sha256(canonical_json(content).encode()).hexdigest()
+    signatures = list(_signatures(rows, content_sha256))
+    differs = [
+        f"the content differs from what {one.name} signed at {one.at:%Y-%m-%d %H:%M:%S} UTC"
+        for one in signatures
+        if one.is_signed and not one.is_of_this
+    ]
+    return report.model_copy(
+        update={
+            "content_sha256": content_sha256,
+            "signatures": signatures,
+            "differs": [*differs, *report.differs],
+        }
+    )
+
+
+def _refuse_signer(report: SessionReport, actor: str) -> None:
+    """Refuse a second signature of one person, and of two signatures both by persons who have armed."""
+    signed = {one.name for one in report.signatures if one.is_signed and one.is_of_this}
+    if actor in signed:
+        msg = f"{actor} has signed this report already: the second signature is another person's"
+        raise SessionStateError(msg, field="operator", value=actor, bound="a person who has not signed")
+    armed = {one.actor for one in report.events if one.action == "session.arm"}
+    if report.signatures_needed > 1 and len(signed) == report.signatures_needed - 1 and {actor, *signed} <= armed:
+        msg = f"{actor} has armed in this session, as who signed before: one of two persons has not"
+        raise SessionStateError(msg, field="operator", value=actor, bound="a person who has not armed")
 
 
 def _events(rows: Sequence[_Row]) -> Iterator[ReportEvent]:
@@ -195,10 +287,26 @@ def _events(rows: Sequence[_Row]) -> Iterator[ReportEvent]:
             text = ACTIONS[row.action] if row.outcome == "done" else f"{ACTIONS[row.action]}: {row.outcome}"
         else:
             continue
-        reasons = [row.detail.get("reason") if not row.is_fault else None, *_overridden(row)]
+        reasons = [*_stated(row), row.detail.get("reason") if not row.is_fault else None, *_overridden(row)]
         said = "; ".join(str(one) for one in reasons if one)
         said_too = f"{text} ({said})" if said else text
         yield ReportEvent(at=datetime.fromisoformat(row.at), actor=row.actor, action=row.action, text=said_too)
+
+
+def _stated(row: _Row) -> Iterator[str]:
+    """Yield the figures of an act: the moment and the level of a reference, how far a window was moved."""
+    if row.action == "session.reference" and "at" in row.detail:
+        yield {"end_exhale": "end of exhale", "end_inhale": "end of inhale"}.get(row.detail["at"], "the present level")
+        proposed = row.detail.get("proposed") or {}
+        level = row.detail.get("level_seen", proposed.get("level"))
+        if level is not None:
+            yield f"level {level:+.2f} against the reference before"
+        if row.detail.get("move_seen_mm") is not None:
+            yield f"couch or camera moved by {row.detail['move_seen_mm']:.1f} mm"
+    if row.action in {"model.reference_set", "model.zero_needed"}:
+        yield str(row.detail.get("detail", ""))
+    if row.action == "session.baseline_correction" and "by" in row.detail:
+        yield f"by {row.detail['by']:+g}"
 
 
 def _overridden(row: _Row) -> list[str]:
@@ -233,10 +341,17 @@ def _position(rows: Sequence[_Row]) -> list[SignedDegree]:
     return [SignedDegree(**{name: one[name] for name in names}) for one in shown.get("degrees", [])]
 
 
-def _signatures(rows: Sequence[_Row]) -> Iterator[ReportSignature]:
+def _signatures(rows: Sequence[_Row], content_sha256: str) -> Iterator[ReportSignature]:
     for row in rows:
-        if row.action == SIGNATURE and row.outcome == "done":
-            yield ReportSignature(at=datetime.fromisoformat(row.at), name=row.actor, **row.detail)
+        if _is_done(row, SIGNATURE):
+            yield ReportSignature(
+                at=datetime.fromisoformat(row.at),
+                name=row.actor,
+                is_signed=row.detail["is_signed"],
+                note=row.detail["note"],
+                content_sha256=row.detail["content_sha256"],
+                is_of_this=row.detail["content_sha256"] == content_sha256,
+            )
 
 
 def _is_beyond(rows: Sequence[_Row]) -> bool:

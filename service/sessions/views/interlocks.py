@@ -14,6 +14,15 @@ from service.core.schemas.live_messages import LiveCheck
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 
+WORKS = {
+    Check.SURFACE: say("the surface is compared with breathing"),
+    Check.COLOR: say("the colour of the region is compared"),
+    Check.CAMERA: say("couch and floor are compared"),
+    Check.MARKERS: say("the markers' positions are compared"),
+}
+CLOCK = (say("the age of the pictures is known"), say("the age of the pictures is not known"))
+PLAYED = say("a recording: the age of its pictures means nothing")
+
 
 class InterlockTable:
     """Lists the interlocks of a site."""
@@ -52,16 +61,6 @@ def _bound(name: str, kind: str) -> float | None:
     return next((float(one) for one in found if one is not None), None)
 
 
-WORKS = {
-    Check.SURFACE: say("the surface is compared with breathing"),
-    Check.COLOR: say("the colour of the region is compared"),
-    Check.CAMERA: say("couch and floor are compared"),
-}
-MARKERS = (say("the markers' positions are compared"), say("the markers' positions are not compared"))
-CLOCK = (say("the age of the pictures is known"), say("the age of the pictures is not known"))
-PLAYED = say("a recording: the age of its pictures means nothing")
-
-
 def live_checks(view: LiveView) -> list[LiveCheck]:
     """Return the state of each check; empty without a reference."""
     if not view.checks:
@@ -69,12 +68,6 @@ def live_checks(view: LiveView) -> list[LiveCheck]:
     now_us, is_live = view.record.measurement.timestamp_us, view.description.is_live
     return [
         *(_live_check(state, now_us) for state in view.checks),
-        LiveCheck(
-            name="markers",
-            state="off" if view.movement is None else "on",
-            seconds=None,
-            text=MARKERS[view.movement is None],
-        ),
         LiveCheck(
             name="clock",
             state="on" if view.is_clock_checked else "off" if is_live else "never",

@@ -39,6 +39,13 @@ from service.sessions.views.position import live_position_check, live_reference
 DIGITS = 4
 POSITION_DIGITS = 2
 NEVER = datetime(1970, 1, 1, tzinfo=UTC)
+NOT_MEASURED: dict[str, Any] = dict.fromkeys(
+    (
+        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share"),
+        *("regions_mm", "named_mm", "split_rows", "lags"),
+    )
+)
+SURFACE_DIGITS = 3
 
 
 def live_sample(
@@ -116,14 +123,6 @@ def camera_view(source: SourceDescription | None, calibration: Calibration) -> s
         code=None if found is None else found.code,
         warning=None if found is None else found.text,
     )
-
-
-NOT_MEASURED: dict[str, Any] = dict.fromkeys(
-    (
-        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share"),
-        *("regions_mm", "named_mm", "split_rows", "lags"),
-    )
-)
 
 
 def _motion_fields(motion: Motion, plan: SessionPlan) -> dict[str, Any]:
@@ -290,9 +289,6 @@ def _accelerator_beam(state: BeamOnState | None) -> Literal["on", "off", "unknow
     if state is None:
         return None
     return "unknown" if state.is_on is None else "on" if state.is_on else "off"
-
-
-SURFACE_DIGITS = 3
 
 
 def mesh_answer(view: LiveView | None) -> sessions.SurfaceMesh:

@@ -17,6 +17,7 @@ from service.engine_host.roles import SessionPlan
 DIGITS = 2
 FIRST_FRACTION = say("first fraction of the plan: the confirmed reference becomes the plan's position")
 NO_REFERENCE = say("set the reference: its position is then compared with the plan's")
+REFERENCE_DIGITS = 3
 
 
 def tolerance_of(settings: Settings) -> PositionTolerance:
@@ -94,9 +95,6 @@ def _degree(one: Degree, tolerance: PositionTolerance) -> LiveDegree:
         tolerance=tolerance.of(one),
         is_within=tolerance.holds(one),
     )
-
-
-REFERENCE_DIGITS = 3
 
 
 def proposal_views(

@@ -28,6 +28,10 @@ SYSTEM = "tidegate"
 Outcome = Literal["done", "requested", "refused", "failed"]
 
 _encode = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode
+_LAST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
+_INSERT = insert(cast("Table", AuditRow.__table__))
+_on_behalf_of: ContextVar[str | None] = ContextVar("tidegate_on_behalf_of", default=None)
+_unread: ContextVar[str | None] = ContextVar("tidegate_unread", default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +60,6 @@ class Link(NamedTuple):
 
 
 COLUMNS = tuple(getattr(AuditRow, name) for name in Link._fields)
-_LAST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
-_INSERT = insert(cast("Table", AuditRow.__table__))
 
 
 def canonical_json(value: object) -> str:
@@ -89,10 +91,6 @@ def seal(row: AuditRow | Link, *, sequence: int | None = None) -> str:
     place = row.sequence if sequence is None else sequence
     content = [place, row.at, row.actor, row.action, row.outcome, row.session_id, row.detail, row.previous_hash]
     return hashlib.sha256(_encode(content).encode()).hexdigest()
-
-
-_on_behalf_of: ContextVar[str | None] = ContextVar("tidegate_on_behalf_of", default=None)
-_unread: ContextVar[str | None] = ContextVar("tidegate_unread", default=None)
 
 
 def act_for(person: str) -> None:

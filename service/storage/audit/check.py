@@ -26,6 +26,7 @@ from service.storage.audit.verification import (
     pieces,
     read_links,
 )
+from service.storage.believed_time import latest_time
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
 
@@ -35,6 +36,15 @@ CLOCK_CHANGED = "clock.changed"
 REDACTED = "(not told)"
 NO_SETTING = "(there was no such setting)"
 SECRET_NAME = re.compile(r"(?:^|_)(?:password|secret|token|key)(?:_|$)")
+TAIL_ROWS = 100_000
+"""Rows that the check at start-up reads at most after the newest anchor."""
+WITHOUT_ANCHORS = (
+    "not compared with anchors: rows cut off at the end are not found; compare rows and head with the room's"
+)
+LOST_FILE = (
+    "the anchor file does not reach as far as the newest start of the service saw it reach: lines were cut off it, "
+    "or another file lies in its place"
+)
 
 
 def redacted_settings(settings: BaseSettings) -> dict[str, object]:
@@ -87,15 +97,11 @@ def reached_before(before: Mapping[str, object]) -> Reached | None:
 
 
 def clock_went_back(db: Session, now: datetime, tolerance_s: float) -> Event | None:
-    """Return an event if the system clock is earlier than the newest row by more than the tolerance [s]; else None."""
-    text = db.scalar(select(AuditRow.at).order_by(AuditRow.sequence.desc()).limit(1))
-    try:
-        newest = None if text is None else datetime.fromisoformat(text)
-    except ValueError:
+    """Return an event if the system clock is earlier than the audit's latest time by more than the tolerance [s]."""
+    latest = latest_time(db)
+    if latest is None or latest - now <= timedelta(seconds=tolerance_s):
         return None
-    if newest is None or newest.tzinfo is None or newest - now <= timedelta(seconds=tolerance_s):
-        return None
-    return clock_event(before=newest, after=now, seen="at start: the newest row is later than now")
+    return clock_event(before=latest, after=now, seen="at start: the latest time in the audit is later than now")
 
 
 def clock_event(*, before: datetime, after: datetime, seen: str) -> Event:
@@ -112,17 +118,6 @@ def clock_event(*, before: datetime, after: datetime, seen: str) -> Event:
 def _redacted(name: str, value: object) -> object:
     is_secret = SECRET_NAME.search(name) is not None and not name.endswith(("_file", "_dir"))
     return REDACTED if is_secret and isinstance(value, str) else value
-
-
-TAIL_ROWS = 100_000
-"""Rows that the check at start-up reads at most after the newest anchor."""
-WITHOUT_ANCHORS = (
-    "not compared with anchors: rows cut off at the end are not found; compare rows and head with the room's"
-)
-LOST_FILE = (
-    "the anchor file does not reach as far as the newest start of the service saw it reach: lines were cut off it, "
-    "or another file lies in its place"
-)
 
 
 def check_whole(

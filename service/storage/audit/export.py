@@ -18,15 +18,18 @@ from service.storage.database.base import utc_text
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow, SessionRow
 
-# Detection of patient data in audit rows, which exports omit unless it is requested.
-
 FIELDS = frozenset({"patient_reference", "plan_id", "fraction_id", "fraction_number"})
 """Fields of a session that identify its patient."""
 BEFORE_A_SESSION = frozenset({"session.create", "plan.import"})
 OF_SESSIONS = ("session.", "model.")
 ABOUT = ("patient_reference", "plan_id", "fraction_id")
+PIECE_ROWS = 500
+END = "tidegate.audit/1"
+MAX_LINE_CHARACTERS = 16_777_216
+MEDIA = "application/x-ndjson"
 
 
+# Detection of patient data in audit rows, which exports omit unless it is requested.
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patient:
     """The patient of a session: the site's reference, and the texts that identify them."""
@@ -84,14 +87,6 @@ def _words(value: object) -> Iterable[str]:
     elif isinstance(value, list):
         for inner in value:
             yield from _words(inner)
-
-
-PIECE_ROWS = 500
-END = "tidegate.audit/1"
-MAX_LINE_CHARACTERS = 16_777_216
-
-
-MEDIA = "application/x-ndjson"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,12 +20,6 @@ from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
 
-# Appends the newest head of the chain to the anchor file: at start and stop, with sessions, and periodically.
-#
-# It reads the audit table in its own thread, so that writers of rows never wait for it, even if the network share of
-# the anchor file hangs. A file that cannot be written is audited and reported by readiness; it does not hold the
-# beam.
-
 MARKS: dict[str, AnchorKind] = {
     "service.start": "start",
     "service.stop": "stop",
@@ -37,8 +31,20 @@ BATCH_ROWS = 5000
 NO_ANSWER_S = 10
 FAILED = "audit.anchors_failed"
 RESUMED = "audit.anchors_resumed"
+NS_PER_US = 1000
+logger = logging.getLogger(__name__)
+INTERVAL_S = 1.0
+ANSWER_S = 5.0
+"""Longest wait for the anchor file at start and stop [s]; it may be on a share that hangs."""
+BROKEN = "audit.broken"
+MB = 1_000_000
 
 
+# Appends the newest head of the chain to the anchor file: at start and stop, with sessions, and periodically.
+#
+# It reads the audit table in its own thread, so that writers of rows never wait for it, even if the network share of
+# the anchor file hangs. A file that cannot be written is audited and reported by readiness; it does not hold the
+# beam.
 class AnchorWriter:
     """Reads new audit rows and anchors the head when it is due.
 
@@ -137,10 +143,6 @@ class AnchorWriter:
 #
 # Both clocks are slewed together, so a slow correction by a time server is not detected; a step by hand or by a time
 # server, and a suspended machine, are.
-
-NS_PER_US = 1000
-
-
 class ClockWatch:
     """Compares both clocks with their values at the start or at the last step; ``jump_ms`` is the tolerance [ms]."""
 
@@ -162,15 +164,6 @@ class ClockWatch:
         # Written first: if the write fails, the next check detects the step again.
         self._write(clock_event(before=expected, after=at, seen="while the service ran"))
         self._at, self._at_ns = at, at_ns
-
-
-logger = logging.getLogger(__name__)
-
-INTERVAL_S = 1.0
-ANSWER_S = 5.0
-"""Longest wait for the anchor file at start and stop [s]; it may be on a share that hangs."""
-BROKEN = "audit.broken"
-MB = 1_000_000
 
 
 class AuditSupervision:

@@ -76,6 +76,15 @@ class Database:
             raise TypeError(msg)
         return self.place
 
+    def log_bytes(self) -> int:
+        """Return the size of SQLite's write-ahead log, which grows while a reader stays; 0 for PostgreSQL."""
+        if self.is_postgresql:
+            return 0
+        try:
+            return self.path.with_name(f"{self.path.name}-wal").stat().st_size
+        except OSError:
+            return 0
+
     def twin(self, *, busy_timeout_s: float, answer_timeout_s: float | None) -> "Database":
         """Return a second `Database` for the same place with other time-outs [s]; it shares identity and claim."""
         other = Database(self.place, busy_timeout_s=busy_timeout_s, answer_timeout_s=answer_timeout_s)

@@ -37,6 +37,12 @@ IDENTITY = text(
     # A standby that took over, or a server brought back to an earlier time, writes a timeline of its own.
     "CASE WHEN pg_is_in_recovery() THEN NULL ELSE left(pg_walfile_name(pg_current_wal_lsn()), 8) END"
 )
+SERVICE_LOCK = 0x7469646573657276  # "tideserv": held for as long as a service runs with this database
+ANSWER_TIMEOUT_S = 1.0
+"""Short, because the session's writer waits for it and must report a server that does not answer."""
+TAKE = text("SELECT pg_try_advisory_lock(:lock)")
+BACKEND = text("SELECT pid, backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid()")
+END_BACKEND = text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid = :pid AND backend_start = :start")
 
 
 class BoundedConnection(psycopg.Connection[Any]):
@@ -120,15 +126,6 @@ def server_identity(connection: Connection) -> tuple[object, ...] | None:
     """Return the identity of server, database, audit table and timeline; None for a standby, which is read-only."""
     found = tuple(connection.execute(IDENTITY).one())
     return None if found[-1] is None else found
-
-
-SERVICE_LOCK = 0x7469646573657276  # "tideserv": held for as long as a service runs with this database
-ANSWER_TIMEOUT_S = 1.0
-"""Short, because the session's writer waits for it and must report a server that does not answer."""
-
-TAKE = text("SELECT pg_try_advisory_lock(:lock)")
-BACKEND = text("SELECT pid, backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid()")
-END_BACKEND = text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid = :pid AND backend_start = :start")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

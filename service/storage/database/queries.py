@@ -21,6 +21,7 @@ from service.core.list_filters import (
     SessionFilter,
     TransitionFilter,
 )
+from service.storage.database import identities
 from service.storage.database.base import UtcTime, utc_text
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
@@ -32,6 +33,15 @@ HELD = ("hold", "fault")
 FRACTION = ("patient_reference", "plan_id", "fraction_id")
 RowT = TypeVar("RowT")
 DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow, PlanRow)
+AUDIT_ORDER = (
+    select(func.min(AuditRow.sequence))
+    .where(AuditRow.session_id == SessionRow.id)
+    .correlate(SessionRow)
+    .scalar_subquery()
+)
+"""Which session was created first: by its first row in the audit, as the wall clock may have been set back."""
+Seal = tuple[int, str]
+_NEWEST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
 
 
 def session_row(db: Session, session_id: str) -> SessionRow:
@@ -62,7 +72,7 @@ def model_row(db: Session, model_id: str) -> ModelRow:
 
 
 class FractionStart(NamedTuple):
-    """The session in which a fraction's first reference was confirmed, and its document."""
+    """A session of a fraction, and its document: the first reference, or what it was armed with."""
 
     session_id: str
     document: str
@@ -73,13 +83,27 @@ def first_reference_of(db: Session, row: SessionRow) -> FractionStart | None:
 
     A fraction is a patient, a plan, and the fraction's name and number; a number that is left out is any.
     """
-    fraction = [getattr(SessionRow, name) == getattr(row, name) for name in FRACTION]
+    document = SessionRow.first_reference
+    query = select(SessionRow.id, document).where(*_same_fraction(row), document.is_not(None))
+    found = db.execute(query.order_by(AUDIT_ORDER, SessionRow.created_at).limit(1)).first()
+    return None if found is None else FractionStart(found[0], found[1] or "")
+
+
+def fraction_arming_of(db: Session, row: SessionRow) -> FractionStart | None:
+    """Return what a session's fraction was armed with last, of whichever session; None if it was not armed."""
+    document = SessionRow.fraction_arming
+    query = select(SessionRow.id, document).where(*_same_fraction(row), document.is_not(None))
+    found = db.execute(query.order_by(AUDIT_ORDER.desc(), SessionRow.created_at.desc()).limit(1)).first()
+    return None if found is None else FractionStart(found[0], found[1] or "")
+
+
+def _same_fraction(row: SessionRow) -> list[ColumnElement[bool]]:
+    """Return the condition that a session is of the same fraction; a number that is left out is any."""
+    fraction: list[ColumnElement[bool]] = [getattr(SessionRow, name) == getattr(row, name) for name in FRACTION]
     if row.fraction_number is not None:
         number = SessionRow.fraction_number
         fraction.append(or_(number == row.fraction_number, number.is_(None)))
-    query = select(SessionRow.id, SessionRow.first_reference).where(*fraction, SessionRow.first_reference.is_not(None))
-    found = db.execute(query.order_by(SessionRow.created_at, SessionRow.id).limit(1)).first()
-    return None if found is None else FractionStart(found[0], found[1] or "")
+    return fraction
 
 
 def plan_position_of(db: Session, row: SessionRow) -> FractionStart | None:
@@ -91,7 +115,7 @@ def plan_position_of(db: Session, row: SessionRow) -> FractionStart | None:
     of_plan = [getattr(SessionRow, name) == getattr(row, name) for name in ("patient_reference", "plan_id")]
     columns = (SessionRow.id, SessionRow.first_reference, SessionRow.fraction_id, SessionRow.fraction_number)
     query = select(*columns).where(*of_plan, SessionRow.first_reference.is_not(None), SessionRow.id != row.id)
-    found = db.execute(query.order_by(SessionRow.created_at, SessionRow.id).limit(1)).first()
+    found = db.execute(query.order_by(AUDIT_ORDER, SessionRow.created_at).limit(1)).first()
     if found is None:
         return None
     is_same_number = found[3] is None or row.fraction_number is None or found[3] == row.fraction_number
@@ -119,6 +143,10 @@ def session_page(
 ) -> tuple[Sequence[SessionRow], str | None]:
     """Return a page of sessions, newest first, and the next cursor; raise BoundError for an invalid cursor."""
     named = {name: getattr(filters, name) for name in ("status", "patient_reference", "plan_id")}
+    if filters.patient_reference is not None:
+        spelling = identities.stored(db, filters.patient_reference, filters.plan_id or "")
+        named["patient_reference"] = spelling.patient_reference
+        named["plan_id"] = None if filters.plan_id is None else spelling.plan_id
     conditions = [getattr(SessionRow, name) == value for name, value in named.items() if value is not None]
     conditions += containing(filters.search, SessionRow.patient_reference, SessionRow.plan_id, SessionRow.fraction_id)
     conditions += [] if filters.since is None else [SessionRow.created_at >= filters.since]
@@ -243,11 +271,6 @@ def _moment(text: str) -> ColumnElement[datetime]:
 def _cursor_error(cursor: str) -> BoundError:
     bound = "a next_cursor of this list"
     return BoundError(f"cursor must be {bound}", field="cursor", value=cursor, bound=bound)
-
-
-Seal = tuple[int, str]
-
-_NEWEST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
 
 
 class RetriedWriter:

@@ -10,6 +10,8 @@ from sqlalchemy.engine.interfaces import Dialect
 
 BEGIN_OPTION = "tidegate_begin"
 MS_PER_S = 1000
+LOG_BYTES = 16 * 1024 * 1024
+"""Size to which the write-ahead log shrinks once its readers have moved on; while one stays, it grows."""
 
 
 def make_sqlite_engine(path: Path, *, busy_timeout_s: float) -> Engine:
@@ -35,6 +37,7 @@ def make_sqlite_engine(path: Path, *, busy_timeout_s: float) -> Engine:
         connection.isolation_level = None
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(f"PRAGMA journal_size_limit={LOG_BYTES}")
         connection.execute("PRAGMA foreign_keys=ON")
         connection.execute(f"PRAGMA busy_timeout={int(busy_timeout_s * MS_PER_S)}")
 

@@ -48,8 +48,20 @@ class SessionRow(Base):
     rt_plan_id: Mapped[str | None] = mapped_column(String(32), index=True)
     head_direction: Mapped[str | None] = mapped_column(String(8))
     first_reference: Mapped[str | None] = mapped_column(Text, deferred=True)
+    fraction_arming: Mapped[str | None] = mapped_column(Text, deferred=True)
     continues: Mapped[str | None] = mapped_column(String(32), index=True)
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
+
+
+class IdentityRow(Base):
+    """The spelling of a patient, plan or fraction; ``like`` names the one that a spelling of before is like."""
+
+    __tablename__ = "identities"
+
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
+    key: Mapped[str] = mapped_column(String(800), primary_key=True)
+    text: Mapped[str] = mapped_column(String(80))
+    like: Mapped[str | None] = mapped_column(String(80))
 
 
 class PlanRow(Base):

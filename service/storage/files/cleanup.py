@@ -9,8 +9,8 @@ import os
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from sqlalchemy import select
@@ -23,6 +23,7 @@ from service.core.settings.groups import StorageSettings
 from service.core.settings.settings import Settings
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
+from service.storage.believed_time import BelievedTime, believed_ends
 from service.storage.database.base import utc_text
 from service.storage.database.engine import Database
 from service.storage.database.idempotency import forget_answers
@@ -31,16 +32,25 @@ from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.database.tables import SessionRow
 from service.storage.files.motion_models import RAW_FOLDER, TAPES_FOLDER
 
+KINDS = {SAMPLES_FOLDER: "samples", TAPES_FOLDER: "tape", RAW_FOLDER: "raw"}
+"""Folders of files named after their session, and the kind of each."""
+SETTING_OF = {"samples": "retain_samples_days", "tape": "retain_samples_days", "raw": "retain_raw_days"}
+logger = logging.getLogger(__name__)
+EVERY_S = 3600.0
+AGAIN_S = 60.0
+JOIN_S = 1.0
+"""The stop does not wait longer for a large file being hashed; a later turn removes it [s]."""
+MIB = 1024 * 1024
+GIB = 1024 * MIB
+FRAMES_A_MINUTE = 30 * 60
+BYTES_A_FRAME = 1700
+"""A sample in its stream and in the Parquet file beside it, with room to spare."""
+
+
 # Removal of old samples, tapes and raw recordings: by age alone, oldest first, each with a row in the audit.
 #
 # Files of a closed session are removed once they are older than the site's retention; without a setting nothing is
 # removed. Files of open and of unknown sessions and the audit are never removed.
-
-KINDS = {SAMPLES_FOLDER: "samples", TAPES_FOLDER: "tape", RAW_FOLDER: "raw"}
-"""Folders of files named after their session, and the kind of each."""
-SETTING_OF = {"samples": "retain_samples_days", "tape": "retain_samples_days", "raw": "retain_raw_days"}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holding:
     """One file of a closed session."""
@@ -87,6 +97,10 @@ def remove_old(database: Database, data_dir: Path, settings: StorageSettings, no
     if not (settings.retain_samples_days or settings.retain_raw_days):
         return []
     chosen = removable(holdings(data_dir, ended_sessions(database)), settings, now)
+    if chosen:  # old by their own rows: not before any row that was written before them
+        with database.read() as db:
+            ends = believed_ends(db, {one.session_id: one.ended_at for one, _ in chosen})
+        chosen = removable([replace(one, ended_at=ends[one.session_id]) for one, _ in chosen], settings, now)
     for one, rule in chosen:
         _remove(database, one, rule)
     return [one for one, _ in chosen]
@@ -108,14 +122,6 @@ def _remove(database: Database, one: Holding, rule: str) -> None:
     logger.warning("removed %s of session %s: %s", one.path.name, one.session_id, rule)
 
 
-logger = logging.getLogger(__name__)
-
-EVERY_S = 3600.0
-AGAIN_S = 60.0
-JOIN_S = 1.0
-"""The stop does not wait longer for a large file being hashed; a later turn removes it [s]."""
-
-
 class CleanupWorker:
     """Removes old files in a thread of its own; waits while a session runs, which has the disk to itself.
 
@@ -123,6 +129,8 @@ class CleanupWorker:
     ----------
     is_busy
         Whether a session runs.
+    time
+        Knows whether the clock can be believed.
     """
 
     def __init__(
@@ -131,12 +139,12 @@ class CleanupWorker:
         settings: Settings,
         *,
         is_busy: Callable[[], bool],
-        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+        time: BelievedTime | None = None,
     ) -> None:
         self._database = database
         self._settings = settings
         self._is_busy = is_busy
-        self._now = now
+        self._time = time or BelievedTime(database)
         self._worker = PeriodicWorker("tidegate-cleanup", self._turn, interval_s=EVERY_S, first_wait_s=0.0)
         self._one_at_a_time = threading.Lock()
 
@@ -150,10 +158,15 @@ class CleanupWorker:
         self._worker.start()
 
     def tidy(self) -> list[Holding]:
-        """Remove old files and old Idempotency-Keys now; from any thread."""
+        """Remove old files and old Idempotency-Keys now, if the clock can be believed; from any thread."""
         with self._one_at_a_time:
-            forget_answers(self._database, days=self._settings.idempotency_days, now=self._now())
-            return remove_old(self._database, self._settings.data_dir, self._settings, self._now())
+            doubt = self._time.doubt()
+            if doubt is not None:
+                logger.warning("%s", doubt)
+                return []
+            now = self._time.now()
+            forget_answers(self._database, days=self._settings.idempotency_days, now=now)
+            return remove_old(self._database, self._settings.data_dir, self._settings, now)
 
     def close(self) -> None:
         """Stop; a removal in progress is finished, unless that takes longer than `JOIN_S`."""
@@ -169,13 +182,6 @@ class CleanupWorker:
             logger.warning("old files could not be removed: %s", type(error).__name__)
             return AGAIN_S
         return EVERY_S
-
-
-MIB = 1024 * 1024
-GIB = 1024 * MIB
-FRAMES_A_MINUTE = 30 * 60
-BYTES_A_FRAME = 1700
-"""A sample in its stream and in the Parquet file beside it, with room to spare."""
 
 
 def session_bytes(settings: Settings) -> int:

@@ -18,6 +18,7 @@ from engine.offline.replay import SUFFIX
 MODELS_FOLDER = "models"
 _FIRST_HASHED = ("mean_mm", "components", "eigenvalues_mm2", "known", "surface_mm")
 """Arrays that the hash covered until version 0.2.0."""
+TAPES_FOLDER, RAW_FOLDER = "replays", "raw"
 
 
 class ModelStore:
@@ -67,9 +68,6 @@ def _hash(model: MotionModel, names: Iterable[str]) -> str:
         if array is not None:
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
-
-
-TAPES_FOLDER, RAW_FOLDER = "replays", "raw"
 
 
 def tape_path(data_dir: Path, session_id: str) -> Path:

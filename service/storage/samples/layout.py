@@ -28,6 +28,14 @@ pa.set_io_thread_count(1)
 
 _CELLS = pa.list_(pa.field("element", pa.float32(), nullable=False))
 _INT, _REAL, _TEXT = pa.int64(), pa.float64(), pa.string()
+NO_CELLS = np.empty(0, dtype=np.float32)
+NO_BREATH = Breath(phase_confidence=float("nan"))
+NOT_MEASURED: dict[str, object] = dict.fromkeys(
+    (
+        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share", "inlier_share"),
+        *("region_rows", "regions_mm", "named_mm"),
+    )
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,10 +133,6 @@ def _field(column: Column) -> pa.Field:
     )
 
 
-NO_CELLS = np.empty(0, dtype=np.float32)
-NO_BREATH = Breath(phase_confidence=float("nan"))
-
-
 def batch_of(schema: pa.Schema, records: Sequence[FrameRecord]) -> pa.RecordBatch:
     """Put records into columns."""
     rows = [sample_values(record) for record in records]
@@ -168,14 +172,6 @@ def sample_values(record: FrameRecord) -> dict[str, object]:
         # The first signal whose breath is followed is the first one gated on.
         **_breath_values(measurement.breaths[0] if measurement.breaths else NO_BREATH),
     }
-
-
-NOT_MEASURED: dict[str, object] = dict.fromkeys(
-    (
-        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share", "inlier_share"),
-        *("region_rows", "regions_mm", "named_mm"),
-    )
-)
 
 
 def _motion_values(motion: Motion | None) -> dict[str, object]:

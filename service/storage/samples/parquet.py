@@ -13,9 +13,12 @@ import pyarrow.parquet as pq
 from engine.core.files import file_sha256, put_in_place
 from service.storage.samples.layout import SampleHead, head_of
 
+ROWS_A_GROUP = 9000
+"""Rows per group, five minutes at 30 frames/s: a reader needs some megabytes at a time."""
+READ_ROWS = 1000
+
+
 # A digest of the values of rows, independent of the file format: compares Parquet read back with what was written.
-
-
 def digest_of(batch: pa.RecordBatch) -> str:
     """Digest the values of all columns; the same for the same rows, however Arrow lays them out."""
     digest = hashlib.sha256(batch.num_rows.to_bytes(8, "little"))
@@ -42,12 +45,6 @@ def _content(column: pa.Array) -> Iterator[bytes]:
 
 def _plain(column: pa.Array, dtype: type | str) -> bytes:
     return bytes(column.to_numpy(zero_copy_only=False).astype(dtype).tobytes())
-
-
-ROWS_A_GROUP = 9000
-"""Rows per group, five minutes at 30 frames/s: a reader needs some megabytes at a time."""
-
-READ_ROWS = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

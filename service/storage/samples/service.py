@@ -18,15 +18,25 @@ from service.storage.samples.layout import SampleHead
 from service.storage.samples.store import SampleStore
 from service.storage.samples.stream import WrittenBytes
 
-# A session's samples as CSV or Arrow, written piece by piece: memory use does not grow with the session.
-
 CSV_COLUMNS = (
     *("frame_index", "timestamp_us", "state", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "gate", "hold_reason"),
     *("received_ns", "decided_ns", "asserted_ns", "captured_ns", "phase_percent"),
 )
 DIGITS = 5  # precision of a single-precision length in mm
+SampleFormat = Literal["csv", "arrow", "parquet"]
+MEDIA: dict[SampleFormat, str] = {
+    "csv": "text/csv",
+    "arrow": "application/vnd.apache.arrow.stream",
+    "parquet": "application/vnd.apache.parquet",
+}
+SUFFIX: dict[SampleFormat, Literal[".csv", ".arrows", ".parquet"]] = {
+    "csv": ".csv",
+    "arrow": ".arrows",
+    "parquet": ".parquet",
+}
 
 
+# A session's samples as CSV or Arrow, written piece by piece: memory use does not grow with the session.
 def csv_pieces(batches: Iterator[pa.RecordBatch], named: Sequence[str]) -> Iterator[str]:
     """Write CSV with a column for each named region; a value that could not be measured is empty, never zero."""
     yield ",".join([*CSV_COLUMNS, *(f"{name}_mm" for name in named)]) + "\n"
@@ -53,19 +63,6 @@ def _named(cells: list[float] | None, count: int) -> list[float | None]:
     if cells is None:
         return [None] * count
     return [round(value, DIGITS) if math.isfinite(value) else None for value in cells]
-
-
-SampleFormat = Literal["csv", "arrow", "parquet"]
-MEDIA: dict[SampleFormat, str] = {
-    "csv": "text/csv",
-    "arrow": "application/vnd.apache.arrow.stream",
-    "parquet": "application/vnd.apache.parquet",
-}
-SUFFIX: dict[SampleFormat, Literal[".csv", ".arrows", ".parquet"]] = {
-    "csv": ".csv",
-    "arrow": ".arrows",
-    "parquet": ".parquet",
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -25,6 +25,8 @@ from service.storage.samples.layout import SampleHead, batch_of
 FIRST = ""
 """The seal before the first batch."""
 BLANK = "-" * 64
+SEAL_KEY = "tidegate.sha256"
+BEFORE_KEY = "tidegate.sha256_before"
 
 
 def seal_of(before: str, message: bytes | bytearray | memoryview) -> str:
@@ -74,10 +76,6 @@ class WrittenBytes:
         taken = bytes(self.held)
         self.held.clear()
         return taken
-
-
-SEAL_KEY = "tidegate.sha256"
-BEFORE_KEY = "tidegate.sha256_before"
 
 
 class SampleStream:

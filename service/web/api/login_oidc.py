@@ -22,24 +22,6 @@ from service.core.schemas.base import Answer
 from service.web import dependencies
 from service.web.api import problems
 
-
-class OidcWay(Answer):
-    """The hospital's identity provider."""
-
-    label: str = Field(description="Label of the button")
-    is_reachable: bool = Field(description="Whether the provider answered the last request; informative")
-
-
-class LoginWays(Answer):
-    """Log-in methods that the page offers."""
-
-    password: bool
-    local_accounts: Literal["all", "break-glass"] = Field(
-        description="Accounts that may log in by password; a break-glass account must give a reason"
-    )
-    oidc: OidcWay | None
-
-
 router = APIRouter(tags=["access"])
 PLAIN_NAME = "tidegate_oidc"
 Text = Annotated[str | None, Query(max_length=2_048)]
@@ -62,6 +44,23 @@ SENTENCE = {
 }
 OTHERWISE = "The provider's answer is not valid. If this happens again, inform the administrator of this system."
 PASSING = frozenset({UNAVAILABLE, BUSY, STORAGE})
+
+
+class OidcWay(Answer):
+    """The hospital's identity provider."""
+
+    label: str = Field(description="Label of the button")
+    is_reachable: bool = Field(description="Whether the provider answered the last request; informative")
+
+
+class LoginWays(Answer):
+    """Log-in methods that the page offers."""
+
+    password: bool
+    local_accounts: Literal["all", "break-glass"] = Field(
+        description="Accounts that may log in by password; a break-glass account must give a reason"
+    )
+    oidc: OidcWay | None
 
 
 def oidc_desk(request: Request) -> OidcService:

@@ -116,6 +116,14 @@ ARM = problems(
     *(HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError, ReferenceDistanceError),
     CountersignatureError,
 )
+REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
+LONGEST_S = 200_000.0
+TraceFrom = Annotated[float, Query(ge=0.0, le=LONGEST_S, allow_inf_nan=False, description="Since the first frame [s]")]
+TraceTo = Annotated[float, Query(gt=0.0, le=LONGEST_S, allow_inf_nan=False, description="After `from_s` [s]")]
+TracePoints = Annotated[
+    int, Query(ge=10, le=5000, description="Ranges at most; fewer samples are returned as they are")
+]
+SIGN_REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError, OperatorMismatchError)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)
@@ -361,15 +369,6 @@ def export_samples(
     return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
 
 
-REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
-LONGEST_S = 200_000.0
-TraceFrom = Annotated[float, Query(ge=0.0, le=LONGEST_S, allow_inf_nan=False, description="Since the first frame [s]")]
-TraceTo = Annotated[float, Query(gt=0.0, le=LONGEST_S, allow_inf_nan=False, description="After `from_s` [s]")]
-TracePoints = Annotated[
-    int, Query(ge=10, le=5000, description="Ranges at most; fewer samples are returned as they are")
-]
-
-
 @router.get("/{session_id}/trace", responses={**REPORT, **problems(BoundError)})
 def read_trace(
     session_id: dependencies.SessionId,
@@ -388,9 +387,6 @@ def read_moment(
 ) -> SessionMoment:
     """Return the sample of a session that is over which is nearest to a time, with the breathing surface."""
     return services.traces.moment(session_id, at_s)
-
-
-SIGN_REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError, OperatorMismatchError)
 
 
 @router.get("/{session_id}/report", responses=REPORT)

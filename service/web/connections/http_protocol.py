@@ -18,18 +18,25 @@ from service.core.settings.groups import ConnectionLimits
 from service.web.connections.refusals import abort, phrase_of, problem_answer
 from service.web.connections.registry import ConnectionRegistry
 
-# Strict HTTP/1.1: requests that two parsers could read differently are refused.
-#
-# h11 is lenient where RFC 9112 allows it (bare line feeds, folded headers, Transfer-Encoding with Content-Length). A
-# proxy in front may be lenient in another way, and then both disagree where a request ends (request smuggling).
-
 BAD_REQUEST, URL_TOO_LONG, HEADERS_TOO_LARGE = 400, 414, 431
 _END = b"\r\n\r\n"
 _BARE = re.compile(rb"(?<!\r)\n|\r(?!\n|\Z)|\0")
 _FOLDED = re.compile(rb"\r\n[ \t]")
 _TOKEN = re.compile(rb"[!#$%&'*+.^_`|~0-9A-Za-z-]{1,20}")
+WIRE_FACTOR = 8
+"""Largest ratio of bytes on the wire to bytes of the body: chunks of one byte take six."""
+MOST_AHEAD_BYTES = 65_536
+"""Limit of pipelined requests [bytes] before the request in progress is answered."""
+TRANSPORT = "tidegate.transport"
+"""Key of the connection in a scope's state; the live stream limits its send buffer."""
+# What uvicorn warns of (bad requests, unknown upgrades) is counted here instead, without a line for each.
+_errors = logging.getLogger("uvicorn.error.connections")
 
 
+# Strict HTTP/1.1: requests that two parsers could read differently are refused.
+#
+# h11 is lenient where RFC 9112 allows it (bare line feeds, folded headers, Transfer-Encoding with Content-Length). A
+# proxy in front may be lenient in another way, and then both disagree where a request ends (request smuggling).
 class StrictConnection(h11.Connection):
     """An h11 server connection with additional checks."""
 
@@ -77,17 +84,6 @@ def _refusal(what: str, status: int) -> h11.RemoteProtocolError:
     return h11.RemoteProtocolError(what, error_status_hint=status)
 
 
-WIRE_FACTOR = 8
-"""Largest ratio of bytes on the wire to bytes of the body: chunks of one byte take six."""
-
-MOST_AHEAD_BYTES = 65_536
-"""Limit of pipelined requests [bytes] before the request in progress is answered."""
-
-TRANSPORT = "tidegate.transport"
-"""Key of the connection in a scope's state; the live stream limits its send buffer."""
-
-# What uvicorn warns of (bad requests, unknown upgrades) is counted here instead, without a line for each.
-_errors = logging.getLogger("uvicorn.error.connections")
 _errors.setLevel(logging.ERROR)
 
 

@@ -21,6 +21,7 @@ from service.web.problems.table import MEDIA_TYPE, problem_of
 
 logger = logging.getLogger(__name__)
 LOG_PERIOD_S = 10.0
+_NO_LINGER = struct.pack("ii", 1, 0)
 
 
 class RefusalCount:
@@ -65,9 +66,6 @@ def problem_answer(status: int, detail: str) -> tuple[str, list[tuple[bytes, byt
 def phrase_of(status: int) -> bytes:
     """Return the reason phrase of an HTTP status."""
     return HTTPStatus(status).phrase.encode()
-
-
-_NO_LINGER = struct.pack("ii", 1, 0)
 
 
 def abort(transport: Transport) -> None:

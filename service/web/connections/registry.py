@@ -18,6 +18,7 @@ from service.web.connections.refusals import RefusalCount
 
 CHECK_PERIOD_S = 1.0
 UNKNOWN = "unknown"
+MakeProtocol = Callable[..., asyncio.Protocol]
 
 
 class Connection(Protocol):
@@ -132,6 +133,3 @@ class ConnectionRegistry:
 
 def _loop_time() -> float:
     return asyncio.get_running_loop().time()
-
-
-MakeProtocol = Callable[..., asyncio.Protocol]

@@ -30,6 +30,10 @@ from service.storage.audit import Event
 from service.web.problems.table import problem_of, problem_response
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+POLICY_VIOLATION = 1008
+REFUSED = "access.refused"
+ADDRESS = "tidegate.address"
+"""Key of the sender's address in the ASGI scope."""
 
 
 def is_ours(origin: str, host: str, allowed: Sequence[str], *, is_secure: bool) -> bool:
@@ -42,12 +46,6 @@ def is_ours(origin: str, host: str, allowed: Sequence[str], *, is_secure: bool) 
         return False
     schemes = ("https",) if is_secure else ("http", "https")
     return bool(host) and parts.scheme in schemes and parts.netloc.lower() == host.lower()
-
-
-POLICY_VIOLATION = 1008
-REFUSED = "access.refused"
-ADDRESS = "tidegate.address"
-"""Key of the sender's address in the ASGI scope."""
 
 
 class Guard:

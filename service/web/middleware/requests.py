@@ -40,6 +40,9 @@ SECURITY_HEADERS = {
     ),
     "X-Permitted-Cross-Domain-Policies": "none",
 }
+MAY_HAVE_MORE = frozenset({"/login/oidc", "/login/oidc/return"})
+"""Route of the identity provider's redirect, which may have any parameters."""
+PROBLEM = "application/problem+json"
 
 
 class RefusedError(HTTPException):
@@ -176,11 +179,6 @@ def _with_headers(send: Send) -> Send:
         await send(message)
 
     return send_with_headers
-
-
-MAY_HAVE_MORE = frozenset({"/login/oidc", "/login/oidc/return"})
-"""Route of the identity provider's redirect, which may have any parameters."""
-PROBLEM = "application/problem+json"
 
 
 async def require_known_query(request: Request) -> None:

@@ -51,6 +51,34 @@ TAGS = [
     {"name": "access", "description": "Log-ins, people and API keys."},
     {"name": "health", "description": "Liveness, readiness and metrics."},
 ]
+Operation = dict[str, Any]
+Codes = dict[int, set[str]]
+IF_MATCH, IF_NONE_MATCH, IDEMPOTENCY_KEY = (
+    name.lower() for name in (IF_MATCH_HEADER, IF_NONE_MATCH_HEADER, IDEMPOTENCY_HEADER)
+)
+"""Header names in lower case, as FastAPI writes them."""
+CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+NOTHING_TO_SAY = {
+    "required": True,
+    "description": "The content is ignored; the JSON type is required because forms of other origins cannot send it",
+    "content": {"application/json": {"schema": {}}},
+}
+WHO_ASKS = {
+    "required": False,
+    "description": "`operator` as in other calls; it may be left out. Hold, disarm and stop are "
+    "carried out whatever the body is: missing, incomplete, of another type, with "
+    "other fields or not JSON. For an API key the audit log records what could not be "
+    "read; for a person the log-in's name is used and the body is not read",
+    "content": {"application/json": {"schema": {}, "example": {"operator": "A. Therapist"}}},
+}
+V1 = "/api/v1/"
+SHOWN_TO_PEOPLE = "text/html"
+WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "plan_busy", "stream_full"})
+OPENAPI_NAME = "openapi.json"
+LIVE_NAME = "live.schema.json"
+COACH_NAME = "coach.schema.json"
+INNERMOST = re.compile(r"[\[{][^\[\]{}]*[\]}]")
+LONGEST_LINE = 100
 
 
 def _text_header(description: str, example: str, **schema: object) -> dict[str, Any]:
@@ -101,31 +129,6 @@ RESPONSES = {
     "ProblemForNow": _problem("A problem that may pass: repeat the call later", "Retry-After"),
     "NotLoggedIn": _problem("Not logged in, or the log-in has expired", "WWW-Authenticate"),
 }
-
-
-Operation = dict[str, Any]
-Codes = dict[int, set[str]]
-IF_MATCH, IF_NONE_MATCH, IDEMPOTENCY_KEY = (
-    name.lower() for name in (IF_MATCH_HEADER, IF_NONE_MATCH_HEADER, IDEMPOTENCY_HEADER)
-)
-"""Header names in lower case, as FastAPI writes them."""
-CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
-NOTHING_TO_SAY = {
-    "required": True,
-    "description": "The content is ignored; the JSON type is required because forms of other origins cannot send it",
-    "content": {"application/json": {"schema": {}}},
-}
-WHO_ASKS = {
-    "required": False,
-    "description": "`operator` as in other calls; it may be left out. Hold, disarm and stop are "
-    "carried out whatever the body is: missing, incomplete, of another type, with "
-    "other fields or not JSON. For an API key the audit log records what could not be "
-    "read; for a person the log-in's name is used and the body is not read",
-    "content": {"application/json": {"schema": {}, "example": {"operator": "A. Therapist"}}},
-}
-V1 = "/api/v1/"
-SHOWN_TO_PEOPLE = "text/html"
-WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "plan_busy", "stream_full"})
 
 
 def complete_operation(operation: Operation, method: str, path: str) -> None:
@@ -250,13 +253,6 @@ def _is_made_by_fastapi(answer: Operation | None) -> bool:
 
 def _is_page(operation: Operation) -> bool:
     return any(SHOWN_TO_PEOPLE in answer.get("content", {}) for answer in operation["responses"].values())
-
-
-OPENAPI_NAME = "openapi.json"
-LIVE_NAME = "live.schema.json"
-COACH_NAME = "coach.schema.json"
-INNERMOST = re.compile(r"[\[{][^\[\]{}]*[\]}]")
-LONGEST_LINE = 100
 
 
 def contract_files(app: FastAPI) -> dict[str, str]:

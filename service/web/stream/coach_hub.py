@@ -29,6 +29,8 @@ logger = logging.getLogger(__name__)
 WAIT_S = 0.1
 """Period of messages while nothing is shown; a screen is black after 300 ms without one."""
 MAX_CLIENTS = 16
+router = APIRouter()
+SHAPE = Shape("websocket", Form.FULL, Encoding.JSON)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,10 +199,6 @@ class CoachHub:
                 client.checked_s = now_s
                 if not client.may_watch():
                     client.end("not_logged_in")
-
-
-router = APIRouter()
-SHAPE = Shape("websocket", Form.FULL, Encoding.JSON)
 
 
 @router.websocket("/coach/live")

@@ -21,6 +21,11 @@ from service.engine_host.roles import LiveFrame
 
 SLOWEST_HZ, FASTEST_HZ = 0.2, 60.0
 LAST_FRAME = 2**53
+Transport = Literal["websocket", "sse"]
+FRESH_S = 0.1
+"""A message that waited longer is encoded again, so that its age is correct when it is sent."""
+THIN = tuple(name for name in ThinSample.model_fields if name not in {"type", "form", "latency_ms"})
+PING_COMMENT = b": ping\n\n"
 
 
 class Form(StrEnum):
@@ -81,15 +86,6 @@ class LiveQuery(EventsQuery):
     encoding: Annotated[
         Encoding, Field(description="`msgpack`: the same messages as binary frames", examples=["json"])
     ] = Encoding.JSON
-
-
-Transport = Literal["websocket", "sse"]
-
-
-FRESH_S = 0.1
-"""A message that waited longer is encoded again, so that its age is correct when it is sent."""
-THIN = tuple(name for name in ThinSample.model_fields if name not in {"type", "form", "latency_ms"})
-PING_COMMENT = b": ping\n\n"
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ from service.web.stream.encoding import EncodedMessage, EventsQuery, Frame, Shap
 from service.web.stream.hub import PING_S, Client, LiveHub
 from service.web.stream.metrics import CloseReason
 
+Resume = Callable[["Feed"], Awaitable[None]]
+
 
 class ClientConnection(Protocol):
     """The connection to one client."""
@@ -31,9 +33,6 @@ class ClientConnection(Protocol):
 
     async def close(self, why: CloseReason) -> None:
         """Close the connection with the reason; abort it if the client does not read that either."""
-
-
-Resume = Callable[["Feed"], Awaitable[None]]
 
 
 class Feed:

@@ -13,6 +13,14 @@ from service.web.stream.encoding import Encoding, Form, Transport
 CloseReason = Literal["gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving"]
 """Why a client's connection ended; ``full``: it was refused. Values are sent to clients and used as metric labels."""
 CLOSE_REASONS: tuple[CloseReason, ...] = ("gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving")
+KINDS = tuple(
+    (transport, form.value, encoding.value)
+    for transport in get_args(Transport)
+    for form in Form
+    for encoding in Encoding
+    if transport == "websocket" or encoding is Encoding.JSON
+)
+"""All combinations of transport, form and encoding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,16 +60,6 @@ class StreamCounts:
     sent: int = 0
     skipped: int = 0
     closed: Counter[CloseReason] = field(default_factory=Counter)
-
-
-KINDS = tuple(
-    (transport, form.value, encoding.value)
-    for transport in get_args(Transport)
-    for form in Form
-    for encoding in Encoding
-    if transport == "websocket" or encoding is Encoding.JSON
-)
-"""All combinations of transport, form and encoding."""
 
 
 class StreamMetrics(Collector):

@@ -23,14 +23,20 @@ from service.storage.samples.tail import NothingRecordedError, Row, SampleTails
 from service.web.stream.encoding import EventsQuery, Frame, Shape, encode
 from service.web.stream.feed import Feed, Resume
 
-# Recorded samples that a client missed, encoded in a worker thread instead of the event loop.
-
 DIGITS = 4
 REASONS = {reason.value: reason for reason in HoldReason}
 """Reasons by code; an older record may have a code that no longer exists."""
 LENGTHS = ("signal_mm", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l")
+PAGE = 200
+PER_S = 2000.0
+"""Rate limit of recorded samples [1/s], so that reconnecting clients do not delay the others."""
+MAX_CONCURRENT = 4
+BUSY_S = 1.0
+RECORDER_WAIT_S = 2.0
+RETRY_S = 0.05
 
 
+# Recorded samples that a client missed, encoded in a worker thread instead of the event loop.
 class Recorded(NamedTuple):
     """A recorded frame, encoded; without a payload if the requested rate drops it."""
 
@@ -128,15 +134,6 @@ def _at(head: SampleHead, monotonic_ns: int | None) -> datetime | None:
         return None
     moment = datetime.fromisoformat(head.utc)
     return (moment + timedelta(microseconds=(monotonic_ns - head.monotonic_ns) / 1e3)).astimezone(UTC)
-
-
-PAGE = 200
-PER_S = 2000.0
-"""Rate limit of recorded samples [1/s], so that reconnecting clients do not delay the others."""
-MAX_CONCURRENT = 4
-BUSY_S = 1.0
-RECORDER_WAIT_S = 2.0
-RETRY_S = 0.05
 
 
 class Resumption:

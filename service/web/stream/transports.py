@@ -13,14 +13,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from service.web.stream.encoding import Encoding, Form, Shape
 from service.web.stream.metrics import CloseReason
 
-# Small send buffers for live connections, so that a slow client gets the newest message and no backlog.
-#
-# Linux would buffer megabytes for a client that does not read. `keep_small` limits the kernel's buffer to about ten
-# messages and asyncio's to the one that did not fit: the next send waits until that one is sent.
-#
-# Over TLS asyncio has two buffers: encrypted bytes of the TLS transport wait for the socket's transport, which has a
-# buffer of its own (64 KiB by default). Both are made small; one message may then wait in each.
-
 TRANSPORT = "tidegate.transport"
 """Key of the connection's transport in the state of the ASGI scope."""
 SYSTEM_BUFFER_BYTES = 16_384
@@ -28,8 +20,35 @@ SYSTEM_BUFFER_BYTES = 16_384
 MOST_UNSENT_BYTES = 1
 """High-water mark at which a transport pauses its writer. Not 0: asyncio's TLS transport pauses at ``size >= high``, an
 empty buffer included, and checks again only at the next write or read, so that a paused stream stays paused."""
+MAX_CLIENT_MESSAGES = 100
+"""Largest number of messages that a client may send per minute; all are ignored."""
+CLIENT_MESSAGE_PERIOD_S = 60.0
+CLOSE_TIMEOUT_S = 0.5
+ABNORMAL_CLOSURE = 1006
+POLICY_VIOLATION, INTERNAL_ERROR, RESTART, TRY_AGAIN_LATER = 1008, 1011, 1012, 1013
+CLOSE_CODES: Mapping[CloseReason, int] = {
+    "stalled": TRY_AGAIN_LATER,
+    "full": TRY_AGAIN_LATER,
+    "not_logged_in": POLICY_VIOLATION,
+    "chatty": POLICY_VIOLATION,
+    "failed": INTERNAL_ERROR,
+    "leaving": RESTART,
+}
+RETRY_MS = 1000
+EVENT_HEADERS = (
+    (b"content-type", b"text/event-stream"),
+    (b"cache-control", b"no-store"),
+    (b"x-accel-buffering", b"no"),
+)
 
 
+# Small send buffers for live connections, so that a slow client gets the newest message and no backlog.
+#
+# Linux would buffer megabytes for a client that does not read. `keep_small` limits the kernel's buffer to about ten
+# messages and asyncio's to the one that did not fit: the next send waits until that one is sent.
+#
+# Over TLS asyncio has two buffers: encrypted bytes of the TLS transport wait for the socket's transport, which has a
+# buffer of its own (64 KiB by default). Both are made small; one message may then wait in each.
 def transport_of(scope: Mapping[str, Any]) -> asyncio.Transport | None:
     """Return the connection's transport; None if another server runs the application."""
     return cast("asyncio.Transport | None", scope.get("state", {}).get(TRANSPORT))
@@ -60,28 +79,6 @@ def _below_tls(transport: asyncio.Transport) -> asyncio.Transport | None:
     """Return the socket's transport below a TLS transport (an asyncio internal); None without TLS."""
     protocol = getattr(transport, "_ssl_protocol", None)
     return cast("asyncio.Transport | None", getattr(protocol, "_transport", None))
-
-
-MAX_CLIENT_MESSAGES = 100
-"""Largest number of messages that a client may send per minute; all are ignored."""
-CLIENT_MESSAGE_PERIOD_S = 60.0
-CLOSE_TIMEOUT_S = 0.5
-ABNORMAL_CLOSURE = 1006
-POLICY_VIOLATION, INTERNAL_ERROR, RESTART, TRY_AGAIN_LATER = 1008, 1011, 1012, 1013
-CLOSE_CODES: Mapping[CloseReason, int] = {
-    "stalled": TRY_AGAIN_LATER,
-    "full": TRY_AGAIN_LATER,
-    "not_logged_in": POLICY_VIOLATION,
-    "chatty": POLICY_VIOLATION,
-    "failed": INTERNAL_ERROR,
-    "leaving": RESTART,
-}
-RETRY_MS = 1000
-EVENT_HEADERS = (
-    (b"content-type", b"text/event-stream"),
-    (b"cache-control", b"no-store"),
-    (b"x-accel-buffering", b"no"),
-)
 
 
 class SocketConnection:

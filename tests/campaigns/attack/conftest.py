@@ -52,7 +52,7 @@ class Attacked:
         assert SECRET not in reported
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def served(tmp_path_factory) -> Iterator[Attacked]:
     folder = tmp_path_factory.mktemp("attack")
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -34,11 +34,17 @@ BREATH_MM = 10.0
 LASTS_S = (0.03, 0.8)
 AVERAGED = {"bound": "averaged over 200 ms, then 100 ms", "bound_ms": AVERAGED_US / 1000 + FRAME_MS}
 """The bound of what the second estimate finds."""
+BLANKETS_RGB = (0xF2F2EE, 0x4A6FA5, 0x8FBC8F)
+"""White, blue and green hospital linen."""
 Act = Callable[[VirtualXtion, random.Random], Receipt]
-LOST = reported(
-    *("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted"),
-    *("surface_changed", "camera_moved", "baseline_drifted"),
-)
+HIDDEN = reported("marker_lost", "layout_changed")
+OBJECT = reported("residual_high", "surface_changed", "layout_changed")
+"""Something on the patient; under a marker it moves that too."""
+MOVED = reported("patient_shifted", "baseline_drifted", "layout_changed", "jump")
+"""A body that moves; one that moves faster than the frames tears the markers' distances or the signal first."""
+CAMERA = reported("camera_moved", "patient_shifted", "layout_changed", "jump")
+UNREAD = reported("coverage_low", "residual_high")
+FROZEN = reported("frame_frozen", "frame_stale")
 SILENT = reported("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
 CLOCK = reported("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
 GONE = reported("source_lost", "frame_missing", "frame_timeout")
@@ -153,6 +159,18 @@ def _thin_sheet(camera: VirtualXtion, chance: random.Random) -> Receipt:
     return camera.offset(-chance.uniform(3.0, 6.0), rect=half)
 
 
+def _black_cover(camera: VirtualXtion, _chance: random.Random) -> Receipt:
+    """Lay a black cloth over the whole region: it swallows the camera's infrared, so that nothing is read of it."""
+    return camera.fill(depth_rect=camera.depth_rect(camera.region_rect), depth_mm=0, color_rect=camera.region_rect)
+
+
+def _blanket(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Pull a blanket over the whole region: 8 to 25 mm nearer, and of one colour."""
+    covered = camera.fill(color_rect=camera.region_rect, rgb=chance.choice(BLANKETS_RGB))
+    camera.offset(-chance.uniform(8.0, 25.0), rect=camera.depth_rect(camera.region_rect))
+    return covered
+
+
 def _blind(camera: VirtualXtion, chance: random.Random) -> Receipt:
     """Read nothing in the lowest fifth to third of the region."""
     left, top, width, height = camera.depth_rect(camera.region_rect)
@@ -185,28 +203,30 @@ def _camera(
 
 
 KINDS = (
-    _camera("marker-covered", "a marker is covered", lambda camera, chance: camera.cover(chance.randrange(4)), LOST),
+    _camera("marker-covered", "a marker is covered", lambda camera, chance: camera.cover(chance.randrange(4)), HIDDEN),
     _camera(
         "hand-in-view",
         "a hand over the region",
         lambda camera, chance: camera.hand(depth_mm=chance.randrange(550, 760), share=chance.uniform(0.35, 0.9)),
-        LOST,
+        OBJECT | HIDDEN | UNREAD,
     ),
-    _camera("sheet", "a sheet of 10 to 40 mm on a part of the region", _sheet, LOST, MOVED_RECOVERS),
+    _camera("sheet", "a sheet of 10 to 40 mm on a part of the region", _sheet, OBJECT, MOVED_RECOVERS),
     _camera(
         "body-jumps",
         "the whole body is 8 to 25 mm higher or lower at once",
         lambda camera, chance: camera.lift(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
-        LOST | reported("outside_window"),
+        MOVED | reported("outside_window"),
         MOVED_RECOVERS,
         is_step=True,
     ),
-    _camera("patient-shifts", "the patient slides on the couch", _shift, LOST, MOVED_RECOVERS),
+    _camera(
+        "patient-shifts", "the patient slides on the couch", _shift, MOVED | reported("residual_high"), MOVED_RECOVERS
+    ),
     _kind(
         "breath-too-large",
         "the body rises out of the window at a breath's speed",
         breath_too_large,
-        LOST | reported("outside_window"),
+        MOVED | reported("outside_window"),
         MOVED_RECOVERS,
         plan=ANY_HEIGHT,
     ),
@@ -214,7 +234,7 @@ KINDS = (
         "sheet-thin",
         "a sheet of 3 to 6 mm, of the skin's colour, on half of the region",
         _thin_sheet,
-        LOST,
+        OBJECT,
         MOVED_RECOVERS,
         **AVERAGED,
     ),
@@ -222,7 +242,7 @@ KINDS = (
         "body-settles",
         "the body rises or sinks slowly by more than 3 mm",
         slow(lambda camera, mm, mm_a_frame: camera.lift(mm, mm_a_frame=mm_a_frame), 4.0),
-        LOST,
+        MOVED,
         MOVED_RECOVERS,
         **AVERAGED,
     ),
@@ -230,7 +250,7 @@ KINDS = (
         "camera-sinks",
         "the camera sinks or rises slowly by more than 1.5 mm",
         slow(lambda camera, mm, mm_a_frame: camera.offset(mm, mm_a_frame=mm_a_frame), 2.5),
-        LOST,
+        CAMERA,
         MOVED_RECOVERS,
         **AVERAGED,
     ),
@@ -238,50 +258,70 @@ KINDS = (
         "camera-jolted",
         "the camera is 3 to 20 mm nearer or farther at once",
         lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(3.0, 20.0)),
-        LOST,
+        CAMERA,
         MOVED_RECOVERS,
         **AVERAGED,
     ),
-    _camera("part-blind", "the lowest fifth to third of the region is not read", _blind, LOST),
     _camera(
-        "depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | reported("frame_frozen")
+        "black-cover",
+        "a black cloth over the whole region, of which nothing is read",
+        _black_cover,
+        HIDDEN | UNREAD,
+        MOVED_RECOVERS,
     ),
+    _camera("blanket", "a blanket over the whole region", _blanket, HIDDEN | OBJECT, MOVED_RECOVERS),
+    _camera("part-blind", "the lowest fifth to third of the region is not read", _blind, reported("coverage_low")),
+    _camera("depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), UNREAD | FROZEN),
     _camera(
         "depth-holes",
         "half to nine tenths of the pixels read nothing",
         lambda camera, chance: camera.dropout(chance.uniform(0.5, 0.9), is_same=chance.random() < 0.5),
-        LOST,
+        reported("coverage_low"),
     ),
-    _camera("depth-noise", "depth is noise", lambda camera, _: camera.noise(), LOST | reported("value_invalid")),
+    _camera("depth-noise", "depth is noise", lambda camera, _: camera.noise(), UNREAD | reported("value_invalid")),
     _camera(
         "depth-65535",
         "every pixel reads 65535",
         lambda camera, _: camera.flat(65_535),
-        LOST | reported("frame_frozen", "frame_stale", "value_invalid"),
+        UNREAD | FROZEN | reported("value_invalid"),
     ),
     _camera(
         "depth-flat",
         "every pixel reads one distance",
         lambda camera, chance: camera.flat(chance.randrange(500, 1500)),
-        LOST | reported("frame_frozen", "frame_stale"),
+        UNREAD | FROZEN,
     ),
     _camera(
         "picture-frozen",
         "the same pictures with new times",
         lambda camera, _: camera.repeat(),
-        reported("frame_frozen", "frame_stale"),
+        FROZEN,
     ),
     _camera(
         "depth-frozen",
         "the same depth with new times",
         lambda camera, _: camera.repeat(Streams.DEPTH),
-        reported("frame_frozen", "frame_stale"),
+        FROZEN,
     ),
     _camera(
         "color-frozen",
         "the same colour with new times",
         lambda camera, _: camera.repeat(Streams.COLOR),
-        reported("frame_frozen", "frame_stale"),
+        FROZEN,
+    ),
+    _camera(
+        "picture-torn",
+        "the lower part of both pictures is 2 to 8 frames old",
+        lambda camera, chance: camera.tear(chance.randrange(120, 300), chance.randrange(2, 9)),
+        FROZEN,
+    ),
+    _camera(
+        "depth-averaged",
+        "a filter in time: the depth is the mean of 4 to 8 frames",
+        lambda camera, chance: camera.average(chance.randrange(4, 9)),
+        FROZEN,
+        bound="by the noise of the last fifth of a second: found within 700 ms, then 100 ms",
+        bound_ms=700.0 + FRAME_MS,
     ),
     _camera("frame-again", "the same frame again, with its old time", lambda camera, _: camera.again(), CLOCK, LATCHED),
     _camera("both-stall", "no frame comes any more", lambda camera, _: camera.stall(), SILENT),
@@ -290,7 +330,7 @@ KINDS = (
         "color-stalls",
         "no colour comes any more",
         lambda camera, _: camera.stall(Streams.COLOR),
-        LOST,
+        reported("marker_lost"),
         bound="a colour picture may be 100 ms off its depth, then 100 ms",
         bound_ms=100.0 + FRAME_MS,
     ),

@@ -3,14 +3,14 @@
 import random
 from collections.abc import Callable
 
-from tests.campaigns.faults.frame_faults import CLOCK, GONE, GONE_RECOVERS, LOST, SILENT, Act, of_camera
+from tests.campaigns.faults.frame_faults import CLOCK, GONE, GONE_RECOVERS, SILENT, UNREAD, Act, of_camera
 from tests.campaigns.faults.kinds import BY_ITSELF, LATCHED, FaultKind, reported
 from tests.support.virtual_camera.block import Field, Streams
 from tests.support.virtual_camera.camera import Receipt, VirtualXtion
 
 FAMILY = "malformed"
 RGB888, GRAY8 = 200, 202
-REFUSED = SILENT | CLOCK | LOST | reported("value_invalid", "source_lost", "engine_failed")
+REFUSED = SILENT | CLOCK | UNREAD | reported("value_invalid", "source_lost", "engine_failed")
 
 
 def _field(field: Field, value: Callable[[random.Random], int], streams: Streams) -> Act:

@@ -2,12 +2,14 @@
 
 import copy
 import json
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from engine.calibration.camera_calibration import Calibration, load_calibration, parse_calibration
+from engine.calibration.camera_calibration import Calibration, least_magnification, load_calibration, parse_calibration
 from engine.core.errors import CalibrationError
 
 GOOD = {
@@ -44,6 +46,10 @@ WRONG = [
     ("depth_to_color.rotation", [[S, S, 0], [S, S, 0], [0, 0, 1]], "depth_to_color.rotation"),
     ("depth_to_color.translation_mm", [201.0, 0, 0], "depth_to_color.translation_mm"),
     ("depth_to_color.translation_mm", [150.0, 150.0, 0], "depth_to_color.translation_mm"),
+    ("depth_to_color.translation_mm", [0.0321, 0.0, 0.0], "depth_to_color.translation_mm"),
+    ("depth_to_color.translation_mm", [4.99, 0.0, 0.0], "depth_to_color.translation_mm"),
+    ("color.distortion", [-1.15, 2.91, -2.48, 0.18, 0.0], "color.distortion"),
+    ("depth.distortion", [-9.9, 9.9, 0.0, 0.0, -9.9], "depth.distortion"),
     ("depth_correction.scale", 0.5, "depth_correction.scale"),
     ("disparity.step_px", 0, "disparity.step_px"),
     ("depth", None, "depth"),
@@ -151,3 +157,60 @@ def test_the_serial_number_is_kept_and_changes_the_identity_only_where_there_is_
         with pytest.raises(CalibrationError) as refused:
             parse_calibration(json.dumps({**GOOD, "serial": serial}).encode())
         assert refused.value.field == "serial"
+
+
+USUAL = {
+    "Xtion": [0.02, -0.11, 0.001, -0.001, 0.06],
+    "Kinect": [0.2624, -0.9531, -0.0054, 0.0026, 1.1633],
+    "RealSense": [-0.055, 0.065, 0.0005, -0.0003, -0.021],
+    "wide": [-0.30, 0.09, 0.0002, 0.0001, -0.012],
+    "strong": [0.14, -0.32, 0.0, 0.0, 0.19],
+}
+
+
+@pytest.mark.parametrize("name", USUAL)
+def test_the_distortion_of_a_usual_lens_is_accepted(name):
+    camera = parse_calibration(changed("color.distortion", USUAL[name])).color
+    assert least_magnification(camera) > 0.3
+
+
+@given(st.lists(st.floats(min_value=-0.5, max_value=0.5), min_size=5, max_size=5))
+def test_the_least_magnification_is_that_of_opencvs_projection(distortion):
+    camera = replace(parse_calibration(json.dumps(GOOD).encode()).color, distortion=tuple(distortion))
+    columns, rows = np.linspace(0.0, camera.width - 1.0, 65), np.linspace(0.0, camera.height - 1.0, 65)
+    x, y = np.meshgrid((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy)
+
+    def projected(x, y):
+        points = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 1, 3)
+        flat, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))
+        return flat.reshape(*x.shape, 2)
+
+    step = 1e-5
+    along_x = (projected(x + step, y) - projected(x - step, y)) / (2.0 * step)
+    along_y = (projected(x, y + step) - projected(x, y - step)) / (2.0 * step)
+    least = (along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]).min()
+    assert least_magnification(camera) == pytest.approx(least, abs=1e-5)
+
+
+def test_a_calibration_of_mirrored_pictures_projects_each_point_to_the_mirrored_pixel():
+    document = json.loads(changed("color.distortion", [0.1, -0.2, 0.003, -0.002, 0.05]))
+    document["depth_to_color"]["rotation"] = cv2.Rodrigues(np.array([0.01, -0.02, 0.03]))[0].tolist()
+    calibration = parse_calibration(json.dumps(document).encode())
+    mirrored = calibration.of_mirrored_pictures()
+    points = np.array([[100.0, -50.0, 900.0], [-200.0, 120.0, 1100.0]])
+    for one, camera in (("depth", calibration.depth), ("color", calibration.color)):
+        seen, other = (
+            _projected(which, one, at) for which, at in ((calibration, points), (mirrored, points * [-1, 1, 1]))
+        )
+        assert np.allclose(other[:, 0], camera.width - 1.0 - seen[:, 0])
+        assert np.allclose(other[:, 1], seen[:, 1])
+    assert mirrored.of_mirrored_pictures().to_json() == calibration.to_json()
+
+
+def _projected(calibration, name, points):
+    camera = getattr(calibration, name)
+    pose = calibration.color_from_depth
+    rotation, shift = (pose.rotation, pose.translation_mm) if name == "color" else (np.eye(3), np.zeros(3))
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    pixels, _ = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], shift, matrix, np.array(camera.distortion))
+    return pixels.reshape(-1, 2)

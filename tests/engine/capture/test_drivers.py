@@ -115,6 +115,7 @@ def test_no_module_outside_of_its_folder_names_the_sdk():
 def test_each_kind_warms_up_for_its_own_time():
     assert drivers.warm_up_s("realsense:0123") == 1800.0
     assert drivers.warm_up_s("orbbec:CL8F") == 2700.0
+    assert [drivers.most_noise_mm(one) for one in ("realsense:0123", "orbbec:CL8F", None)] == [30.0, 8.0, 12.0]
     assert drivers.warm_up_s("1d27/0601@1/7") == drivers.warm_up_s(None) == 900.0
 
 

@@ -9,8 +9,10 @@ from engine.control.arming_outlook import CountersignatureState
 from engine.core.breath import WHOLE
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, Countersign, Disarm, SetReference
 from engine.core.errors import CountersignatureError, ReasonMissingError
+from engine.core.fraction_arming import read_fraction_arming
+from engine.core.reference import ReferenceDistance, SignalLevel
 from engine.gating.active_window import SetWindow
-from engine.gating.windows import amplitude_window
+from engine.gating.windows import BreathHoldWindow, amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS
 
@@ -34,11 +36,25 @@ def moved_by(mm, **who):
     return SetWindow(operator="ann", window=WINDOW.shifted(WHOLE, mm), **times, **who)
 
 
-def asked(*acts, is_needed=True, is_continued=False, has_reference=True):
+def narrowed(**who):
+    return replace(moved_by(0.0, **who), window=replace(WINDOW, lower=WINDOW.lower + 0.5))
+
+
+def lying(mm):
+    return ReferenceDistance(moved_mm=mm, levels=(SignalLevel(WHOLE, mm),))
+
+
+UNKNOWN = ReferenceDistance(unknown="the camera was disconnected since")
+
+
+def setattr_of(name, value, bench):
+    setattr(bench.pipeline, name, value)
+
+
+def asked(*acts, is_needed=True, arming=None, has_reference=True, window=WINDOW):
     """Carry the acts out one after the other; return the bench and the error of each answer."""
-    limits = replace(LIMITS, window=WINDOW, max_duty_percent=100.0, needs_countersignature=is_needed)
-    bench = Bench([good] * 3, limits=limits)
-    bench.pipeline.is_fraction_continued = is_continued
+    limits = replace(LIMITS, window=window, max_duty_percent=100.0, needs_countersignature=is_needed)
+    bench = Bench([good] * 3, limits=limits, fraction_arming=arming)
     bench.pipeline.has_reference = has_reference
     for act in acts:
         bench.source.script += [after(partial(act, bench) if callable(act) else bench.ask(act)), *[good] * 6]
@@ -112,17 +128,45 @@ def test_without_a_reference_and_while_armed_nothing_is_signed():
     assert isinstance(errors[2], CountersignatureError)
 
 
-def test_later_armings_of_the_fraction_need_none_unless_the_window_goes_beyond_its_budget():
+def test_later_armings_need_none_unless_a_window_is_set_beyond_the_one_that_was_signed():
     reason = {"reason": "the bladder is full", "may_exceed": True}
-    acts = [sign("bob"), arm("ann"), DISARM, moved_by(1.5, **reason), arm("ann"), DISARM, moved_by(10.0, **reason)]
-    _, errors = asked(*acts, arm("ann"), sign("cid"), arm("ann"))
-    assert errors[:7] == [None] * 7
-    assert isinstance(errors[7], CountersignatureError)
-    assert errors[8:] == [None, None]
+    acts = [sign("bob"), arm("ann"), DISARM, arm("ann"), DISARM, moved_by(0.1, **reason), arm("ann")]
+    _, errors = asked(*acts, sign("cid"), arm("ann"), DISARM, narrowed(**reason), arm("ann"))
+    assert errors[:6] == [None] * 6
+    assert isinstance(errors[6], CountersignatureError)
+    assert errors[7:] == [None] * 5
 
 
-def test_a_fraction_that_another_session_has_begun_is_not_begun_again():
-    assert asked(arm("ann"), is_continued=True)[1] == [None]
+def test_a_reference_within_the_budget_needs_none_and_one_beyond_or_unknown_does():
+    reason = SetReference(operator="ann", reason="as the test wants it", may_exceed=True)
+    for distance, is_armed in ((lying(1.9), True), (lying(2.1), False), (UNKNOWN, False)):
+        lie = partial(setattr_of, "distance", distance)
+        _, errors = asked(sign("bob"), arm("ann"), reason, lie, arm("ann"))
+        assert errors[:3] == [None] * 3
+        assert isinstance(errors[3], CountersignatureError | None)
+        assert (errors[3] is None) is is_armed
+
+
+def test_a_further_session_starts_from_what_was_signed():
+    """A confirmed reference is no signature; nor is an arming of before the site asked for one."""
+    first, _ = asked(sign("bob"), arm("ann"))
+    signed = first.loop.status.fraction_arming
+    assert (signed.signed_by, signed.signed_for, signed.armed_by) == ("bob", "ann", "ann")
+    assert read_fraction_arming(signed.to_json()) == signed
+    program = replace(arm("key:tps"), is_person=False)
+    for again in (arm("ann"), program):
+        assert asked(again, arming=signed)[1] == [None]
+        wider = WINDOW.shifted(WHOLE, 0.1)
+        assert isinstance(asked(again, arming=signed, window=wider)[1][0], CountersignatureError)
+        for unsigned in (None, asked(arm("ann"), is_needed=False)[0].loop.status.fraction_arming):
+            assert isinstance(asked(again, arming=unsigned)[1][0], CountersignatureError)
+
+
+def test_what_was_signed_with_other_conditions_is_no_signature():
+    signed = asked(sign("bob"), arm("ann"))[0].loop.status.fraction_arming
+    hold = BreathHoldWindow(level=WINDOW, kind="expiration")
+    (error,) = asked(replace(arm("ann"), reason="the bladder is full"), arming=signed, window=hold)[1]
+    assert isinstance(error, CountersignatureError)
 
 
 @pytest.mark.parametrize(("reason", "is_set"), [("", False), (" ", False), ("the bladder is full", True)])

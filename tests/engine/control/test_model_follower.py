@@ -25,6 +25,10 @@ class Windows:
     def __init__(self):
         self.prescribed_window = SimpleNamespace(needs_ranges=True, choices=("whole",))
         self.resolved = []
+        self.breaths = []
+
+    def use_breaths(self, ranges):
+        self.breaths.append(dict(ranges))
 
     def resolve_window(self, ranges):
         self.resolved.append(dict(ranges))
@@ -50,6 +54,16 @@ def test_a_change_is_seen_once(follower, learned):
     learned.status.model_generation = 2
     assert follower.has_changed()
     assert not follower.has_changed()
+
+
+def test_the_learned_breath_is_taken_from_the_model_in_use(follower, learned, windows):
+    follower.has_changed()
+    learned.known = {"whole": 1}
+    follower.has_changed()
+    follower.has_changed()
+    learned.known, learned.status.model_generation = {"whole": 2}, 2
+    follower.has_changed()
+    assert windows.breaths == [{}, {"whole": 1}, {"whole": 2}]
 
 
 def test_a_window_is_resolved_once_a_range_is_known_and_not_by_another_model(follower, learned, windows):

@@ -7,10 +7,11 @@ from functools import partial
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from engine.control.reference_budget import NO_REASON, NOT_ALLOWED, placed_window, reach_beyond_mm
+from engine.control.reference_budget import NO_REASON, NOT_ALLOWED, placed_window
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, SetReference
 from engine.core.errors import ReferenceDistanceError
+from engine.core.fraction_arming import FractionArming, reach_beyond
 from engine.core.reference import ReferenceDistance, SignalLevel
 from engine.core.signals import LearnedRange
 from engine.gating.active_window import SetWindow
@@ -44,10 +45,11 @@ def lying(level):
     )
 
 
-def asked(*acts, window=WINDOW, is_continued=False, ranges=None):
+def asked(*acts, window=WINDOW, armed=None, ranges=None):
     """Carry commands out one after the other, or call them with the bench; return the bench and each answer's error."""
-    bench = Bench([good] * 3, limits=replace(LIMITS, window=window, max_duty_percent=100.0))
-    bench.pipeline.is_fraction_continued = is_continued
+    arming = None if armed is None else FractionArming(first=placed_window(armed, None), armed_by="ann")
+    limits = replace(LIMITS, window=window, max_duty_percent=100.0)
+    bench = Bench([good] * 3, limits=limits, fraction_arming=arming)
     bench.pipeline.ranges = bench.pipeline.ranges if ranges is None else ranges
     for act in acts:
         step = partial(act, bench) if callable(act) else bench.ask(act)
@@ -149,9 +151,15 @@ def test_per_cent_are_compared_at_the_arming_as_they_are_converted():
     assert isinstance(errors[2], ReferenceDistanceError)
 
 
-def test_in_a_continued_fraction_the_session_s_own_window_counts_from_the_beginning():
-    assert isinstance(asked(moved_by(3.0), is_continued=True)[1][0], ReferenceDistanceError)
-    assert asked(moved_by(1.5), ARM, is_continued=True)[1] == [None, None]
+def test_in_a_further_session_the_window_that_the_fraction_was_armed_with_counts():
+    """Not the window that the session was created with."""
+    other = WINDOW.shifted(WHOLE, 3.0)
+    assert isinstance(asked(ARM, window=other, armed=WINDOW)[1][0], ReferenceDistanceError)
+    assert isinstance(asked(moved_by(3.0), armed=WINDOW)[1][0], ReferenceDistanceError)
+    assert asked(moved_by(1.5), ARM, armed=WINDOW)[1] == [None, None]
+    assert asked(moved_by(3.0), ARM, armed=None)[1] == [None, None]
+    of_thorax = AmplitudeWindow(choice=SignalChoice(signal=GateSignal.THORAX), lower=-1.0, upper=3.0)
+    assert isinstance(asked(ARM, armed=of_thorax)[1][0], ReferenceDistanceError)
 
 
 WINDOWS = st.tuples(st.floats(min_value=-20.0, max_value=20.0), st.floats(min_value=0.1, max_value=20.0)).map(
@@ -162,7 +170,7 @@ WINDOWS = st.tuples(st.floats(min_value=-20.0, max_value=20.0), st.floats(min_va
 @given(WINDOWS, WINDOWS, st.floats(min_value=-5.0, max_value=5.0))
 def test_a_window_reaches_as_far_beyond_another_as_its_farthest_point(first, now, level):
     points = [max(first.lower - at, at - first.upper, 0.0) for at in (now.lower + level, now.upper + level)]
-    reach_mm = reach_beyond_mm(placed_window(first, None), placed_window(now, lying(level)))
+    reach_mm = reach_beyond(placed_window(first, None), placed_window(now, lying(level)))
     assert reach_mm == pytest.approx(max(points), abs=1e-9)
 
 
@@ -173,7 +181,7 @@ def test_a_phase_reaches_beyond_another_if_any_of_its_phases_is_not_in_it(start,
     now = PhaseWindow(from_percent=float(later), to_percent=float(sooner))
     steps = [(later + step) % 100 for step in range((sooner - later) % 100 + 1)]
     is_inside = all(first.contains(float(at)) for at in steps) and _is_in_one_piece(first, steps)
-    reach_mm = reach_beyond_mm(placed_window(first, None), placed_window(now, None))
+    reach_mm = reach_beyond(placed_window(first, None), placed_window(now, None))
     assert reach_mm == (0.0 if is_inside else math.inf)
 
 
@@ -199,7 +207,7 @@ def test_litres_and_the_edges_of_a_breath_hold_count_too():
         )
     )
     first = placed_window(before, None)
-    assert reach_beyond_mm(first, placed_window(wider, None)) == pytest.approx(3.0)
-    assert reach_beyond_mm(first, placed_window(deeper, None)) == pytest.approx(4.0)
-    assert reach_beyond_mm(first, placed_window(higher, None)) == pytest.approx(2.0)
+    assert reach_beyond(first, placed_window(wider, None)) == pytest.approx(3.0)
+    assert reach_beyond(first, placed_window(deeper, None)) == pytest.approx(4.0)
+    assert reach_beyond(first, placed_window(higher, None)) == pytest.approx(2.0)
     assert placed_window(replace(WINDOW, unit=Unit.PERCENT, lower=0.0, upper=40.0), None) is None

@@ -22,6 +22,7 @@ Guarded(Functions).beyond(np.zeros(3))
 """
 
 
+@pytest.mark.timeout(900)
 def test_sessions_run_with_every_array_at_the_end_of_a_page():
     early = "ignore:Module already imported:pytest.PytestAssertRewriteWarning"
     plugins = ("-W", early, "-p", "tests.support.guard_pages", "-p", "no:cacheprovider")

@@ -95,7 +95,7 @@ def test_every_limit_of_trust_bounds_an_interlock():
     switching = {"dwell_ms", "min_good_frames", "lease_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
     window = {"max_baseline_correction_mm", "max_duty_percent", "window_lower_mm", "window_upper_mm", "window"}
     others = {"warn_latency_ms", "max_reference_distance_mm", "is_calibrated", "head_direction", "is_played"}
-    others |= {"needs_all_checks", "needs_countersignature", "warm_up_s", "cold_share"}
+    others |= {"needs_all_checks", "needs_countersignature", "warm_up_s", "cold_share", "breath_depths"}
     assert {field.name for field in dataclasses.fields(GateLimits)} - named == switching | window | others
     assert set(LIMIT_BOUNDS) <= named | switching | window | others
 

@@ -13,6 +13,7 @@ from engine.gating.gate import Interruption, Silence
 from engine.gating.windows import BreathHoldWindow, JoinedWindow, amplitude_window
 from tests.support.gating.bad_frames import FAULTS, HOLDS
 from tests.support.gating.streams import (
+    A_BREATH_FRAMES,
     FRAMES_A_DWELL,
     LEVEL_MM,
     LIMITS,
@@ -147,7 +148,7 @@ def test_a_backlog_in_the_driver_holds_though_each_frame_arrives_fresh():
 def test_a_device_clock_that_drifts_as_quartz_does_holds_nothing():
     stream, in_time = stream_in(GateState.BEAM_ON), {None, HoldReason.OUTSIDE_WINDOW, HoldReason.DWELL}
     for frame_number in range(40_000):  # 22 minutes, 0.01 % slow: 133 ms in the end
-        stream.level_mm = 3.3 if frame_number % 150 == 149 else LEVEL_MM
+        stream.level_mm = 3.3 if frame_number % 150 < A_BREATH_FRAMES else LEVEL_MM
         frame = stream.upcoming()
         received_ns = frame.received_ns + int(1e-4 * frame_number * PERIOD_NS)
         fresh = replace(frame, received_ns=received_ns, queue_empty_ns=received_ns)

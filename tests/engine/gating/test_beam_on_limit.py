@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -11,8 +12,25 @@ from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.beam_on_limit import Stay, allowed_on_s
 from engine.gating.gate import Interruption, Silence
-from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
-from tests.support.gating.streams import LEVEL_MM, LIMITS, PERIOD_NS, Stream, motion_of, stream_in, unmeasured
+from engine.gating.windows import (
+    AmplitudeWindow,
+    BreathDepth,
+    BreathHoldWindow,
+    JoinedWindow,
+    PhaseWindow,
+    amplitude_window,
+    rescaled,
+)
+from tests.support.gating.streams import (
+    A_BREATH_FRAMES,
+    LEVEL_MM,
+    LIMITS,
+    PERIOD_NS,
+    Stream,
+    motion_of,
+    stream_in,
+    unmeasured,
+)
 
 EASY = replace(LIMITS, max_jump_mm=20.0, max_beam_on_s=5.0)
 WINDOW = LIMITS.window
@@ -30,7 +48,8 @@ def fed(stream: Stream, seconds: float, breath: Breath | None = None) -> float:
 
 
 def leave(stream: Stream) -> None:
-    stream.feed(replace(stream.upcoming(), motion=motion_of(9.0)))
+    for _ in range(A_BREATH_FRAMES):
+        stream.feed(replace(stream.upcoming(), motion=motion_of(9.0)))
 
 
 def test_the_beam_is_on_for_no_longer_than_the_limit_until_the_signal_has_left_the_window():
@@ -125,7 +144,8 @@ def test_the_time_of_a_stay_is_over_at_its_limit_itself(short_ns, is_over):
     assert (gate.reason is HoldReason.BEAM_ON_LIMIT) is is_over
     if is_over:
         assert gate.detail == (
-            "5 s of beam since the signal was outside of the window, 5 allowed: it has to leave the window first"
+            "5 s of beam since the patient breathed out of the window, 5 allowed: "
+            "the signal has to leave the window first"
         )
 
 
@@ -184,26 +204,86 @@ def test_without_a_value_beyond_an_edge_the_sum_of_beam_on_never_exceeds_the_lim
 
 
 @pytest.mark.parametrize(
-    ("level_mm", "stays"), [(2.81, True), (3.0, True), (3.01, False), (-0.81, True), (-1.0, True), (-1.01, False)]
+    ("level_mm", "frames", "stays"),
+    [
+        (2.81, 60, True),
+        (3.0, 60, True),
+        (3.19, 60, True),
+        (3.21, A_BREATH_FRAMES - 1, True),
+        (3.21, A_BREATH_FRAMES, False),
+        (-1.19, 60, True),
+        (-1.6, A_BREATH_FRAMES - 1, True),
+        (-1.6, A_BREATH_FRAMES, False),
+        (9.0, 1, True),
+    ],
 )
-def test_a_stay_ends_only_beyond_an_edge_itself(level_mm, stays):
-    """Hysteresis is 0.2 mm: after a lost frame the signal at 2.81 mm is outside, and the patient has not breathed."""
+def test_a_stay_ends_only_beyond_an_edge_by_the_hysteresis_for_as_long_as_a_breath_takes(level_mm, frames, stays):
+    """Hysteresis is 0.2 mm: a signal at 3.19 mm, or one that is further out for a moment, is no breath."""
     stream = stream_in(GateState.BEAM_ON, limits=EASY)
     fed(stream, 12.0)
     assert stream.gate.reason is HoldReason.BEAM_ON_LIMIT
     stream.level_mm = level_mm
-    assert stream.feed().reason is HoldReason.OUTSIDE_WINDOW
+    assert set(stream.good(frames)) == {GateState.HOLD}
     stream.level_mm = LEVEL_MM
     assert (GateState.BEAM_ON not in stream.good(60)) is stays
+
+
+@pytest.mark.parametrize("is_rescaled", [False, True])
+def test_a_noisy_signal_has_to_be_further_out(is_rescaled):
+    """Noise of 0.3 mm: 1.0 mm beyond an edge is hardly more than three times that, 2.0 mm is; also right after a
+    reference."""
+    for level_mm, stays in ((4.0, True), (5.0, False)):
+        stream, noise = stream_in(GateState.BEAM_ON, limits=EASY), np.random.default_rng(4)
+        for seconds, middle_mm in ((12.0, LEVEL_MM), (0.04, LEVEL_MM), (2.0, level_mm), (2.0, LEVEL_MM)):
+            states = []
+            if seconds < 1.0 and is_rescaled:
+                stream.gate = replace(stream.gate, conditions=rescaled(stream.gate.conditions))
+            for _ in range(round(seconds * FRAMES_A_S)):
+                stream.level_mm = middle_mm + float(np.clip(noise.normal(0.0, 0.3), -0.6, 0.6))
+                states.append(stream.feed().state)
+        assert (GateState.BEAM_ON not in states) is stays
+
+
+DEEP = replace(EASY, breath_depths=(BreathDepth(SignalChoice(), 3.0),))
+
+
+@pytest.mark.parametrize(("level_mm", "stays"), [(1.01, True), (0.99, False)])
+def test_a_third_of_the_learned_breath_away_from_where_the_beam_was_on_is_a_breath(level_mm, stays):
+    stream = stream_in(GateState.BEAM_ON, limits=DEEP)
+    fed(stream, 12.0)
+    stream.level_mm = level_mm  # still inside: without beam, for the limit is reached
+    stream.good(A_BREATH_FRAMES + 1)
+    stream.level_mm = LEVEL_MM
+    assert (GateState.BEAM_ON not in stream.good(60)) is stays
+
+
+def test_in_a_window_that_is_hardly_left_the_beam_on_since_the_last_movement_stays_counted():
+    """The signal moves by a third of the breath with the beam on, and is out for a moment: a breath, from then on."""
+    stream, out = stream_in(GateState.BEAM_ON, limits=DEEP, level_mm=1.0), 5
+    fed(stream, 2.0)
+    stream.level_mm = 2.7
+    fed(stream, 1.0)
+    for level_mm, frames in ((3.05, out), (2.7, 300)):
+        stream.level_mm = level_mm
+        states = stream.good(frames)
+    assert states.count(GateState.BEAM_ON) / FRAMES_A_S == pytest.approx(4.0, abs=0.2)
+    stream.level_mm = 3.05
+    stream.good(out)
+    stream.level_mm = 2.7
+    assert GateState.BEAM_ON not in stream.good(60)
 
 
 def test_an_unknown_phase_ends_no_stay():
     window = PhaseWindow(from_percent=40.0, to_percent=60.0)
     unknown, inside, beyond = (Breath(phase_percent=percent, phase_confidence=1.0) for percent in (None, 50.0, 70.0))
-    stream = Stream(replace(EASY, window=window))
+    stream = Stream(replace(DEEP, window=window))
     stream.step(Arm(operator="ann"))
     assert fed(stream, 12.0, inside) == pytest.approx(5.0, abs=0.2)
-    fed(stream, 0.1, unknown)
+    fed(stream, 0.5, unknown)
     assert fed(stream, 1.0, inside) == 0.0
-    fed(stream, 0.1, beyond)
+    fed(stream, 0.5, beyond)
+    assert fed(stream, 1.0, inside) == 0.0  # the signal has not moved
+    stream.level_mm = 0.5
+    fed(stream, 0.5, beyond)
+    stream.level_mm = LEVEL_MM
     assert fed(stream, 1.0, inside) > 0.7

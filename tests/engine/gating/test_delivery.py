@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 from engine.core.gate_state import HoldReason
-from engine.gating.delivery import FRESH_NS, MAX_RATE_ERROR_PPM, MAX_UNSEEN_MS, ClockRate, followed_rate
+from engine.gating.delivery import FRESH_NS, MAX_RATE_ERROR_PPM, ClockRate, followed_rate
 from engine.gating.frame_checks import check_frame, last_frame
 from tests.support.gating.ageing import SPARSE, STEP_NS, S, watched
 from tests.support.gating.streams import LIMITS, MS, measured
@@ -68,7 +68,7 @@ def test_no_believed_picture_is_much_older_than_the_clocks_show_whatever_lag_a_s
     waiting_ms, seconds = path_of(legs)
     stream = watched(seconds=seconds, clock_error=error, waiting_ms=waiting_ms, limits=WIDE)
     hidden_ms = max((one.age_ms - one.shown_ms for one in stream if one.is_believed), default=0.0)
-    assert hidden_ms <= MAX_UNSEEN_MS + 0.1
+    assert hidden_ms <= 5.05 + 0.1  # half a second of a clock that is wrong by one per cent
 
 
 @pytest.mark.parametrize("error", [-0.01, -200 * PPM, -100 * PPM, 0.0, 28 * PPM, 100 * PPM, 490 * PPM, 0.005, 0.01])
@@ -78,11 +78,11 @@ def test_within_an_hour_no_stream_ages_by_more_than_100_ms_unnoticed(error):
     assert max(one.age_ms for one in stream if one.is_believed) <= 100.0
 
 
-def test_a_backlog_that_a_fast_clock_hides_holds_within_five_seconds_and_states_since_when():
+def test_a_backlog_that_a_fast_clock_hides_holds_within_half_a_second_and_states_since_when():
     stream = list(watched(seconds=20.0, clock_error=0.005, waiting_ms=growing(0.005)))
     believed = [one for one in stream if one.is_believed]
-    assert 14.0 < believed[-1].at_s < 15.0
-    assert {one.reason for one in stream if one.at_s > 15.1} == {HoldReason.FRAME_LATE}
+    assert 10.0 < believed[-1].at_s < 10.6
+    assert {one.reason for one in stream if one.at_s > 10.6} == {HoldReason.FRAME_LATE}
     assert stream[-1].verdict.detail.startswith("9.9 s since a frame that is known to be fresh: up to 100 ms late")
 
 
@@ -114,14 +114,15 @@ def test_a_recording_needs_no_proof():
     assert {one.reason for one in stream} <= {None}
 
 
+@pytest.mark.parametrize("busy_s", [0.4, 1.0])
 @pytest.mark.parametrize("error", [-100 * PPM, 100 * PPM])
-def test_an_honest_camera_is_not_held_for_hours_with_jitter_and_a_busy_host(error):
-    """Jitter of 3 ms, and once a minute the host reads late for a second: then frames are late, as they are."""
+def test_an_honest_camera_is_held_for_hours_only_while_the_host_is_late_for_more_than_half_a_second(error, busy_s):
+    """Jitter of 3 ms, and once a minute the host reads late for a while: then frames are late, as they are."""
     random_ms = random.Random(7)
 
     def waiting_ms(at_s):
         into_s = at_s % 60.0 - 30.0
-        return 1e3 * max(1.0 - into_s, 0.0) * 0.04 if 0.0 <= into_s < 1.0 else 0.0
+        return 1e3 * max(1.0 - into_s, 0.0) * 0.04 if 0.0 <= into_s < busy_s else 0.0
 
     stream = watched(
         seconds=2 * HOUR_S,
@@ -129,7 +130,10 @@ def test_an_honest_camera_is_not_held_for_hours_with_jitter_and_a_busy_host(erro
         waiting_ms=waiting_ms,
         jitter_ms=lambda _index: abs(random_ms.gauss(0.0, 3.0)),
     )
-    assert {one.reason for one in stream} == {None}
+    held = [one for one in stream if one.reason is not None]
+    assert {one.reason for one in held} <= {HoldReason.FRAME_LATE}
+    assert all(30.4 < one.at_s % 60.0 < 31.1 for one in held)
+    assert bool(held) is (busy_s > 0.5)
 
 
 @pytest.mark.parametrize("error", [-100 * PPM, 100 * PPM])

@@ -245,7 +245,7 @@ def test_a_calibration_of_another_picture_size_is_refused(regular_volunteer, tmp
     folder = tmp_path / "in"
     shutil.copytree(regular_volunteer, folder, ignore=shutil.ignore_patterns("truth.npz"))
     document = json.loads((folder / "calibration.json").read_text())
-    document["color"].update(width=1280, height=1024, fx=1060.0, fy=1060.0)
+    document["color"].update(width=1280, height=1024, fx=1060.0, fy=1060.0, distortion=[0.0] * 5)
     (folder / "calibration.json").write_text(json.dumps(document))
     result = invoke(folder, tmp_path / "out")
     assert result.exit_code == 2

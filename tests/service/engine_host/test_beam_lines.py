@@ -149,6 +149,14 @@ def test_a_gate_is_expected_in_a_session_and_not_in_qa(site, line):
     assert part.wire._registers.expected_coil is None
 
 
+def test_a_relay_says_that_a_gate_is_expected_in_a_session_and_not_in_qa(site):
+    assert _line_of(site(**RELAY))._wire._expected_channel is None
+    settings = site(**RELAY, BEAM_RELAY_EXPECTED_CHANNEL=7)
+    assert _line_of(settings)._wire._expected_channel == 7
+    (part,) = beam_line_parts(settings, MonotonicClock())
+    assert part.wire._expected_channel is None
+
+
 def test_of_two_modbus_lines_the_first_reads_the_signal(site):
     settings = site(**TCP, BEAM_LINE_2="modbus-rtu", BEAM_RTU_DEVICE="/dev/ttyUSB0", BEAM_ON_INPUT=6)
     assert [settings.beam_registers(kind).beam_on_input for kind in settings.beam_lines] == [6, None]

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 import threading
-from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
 import pytest
@@ -21,8 +20,10 @@ from service.engine_host.camera_warmth import (
     CameraClaim,
     CameraKeeper,
     ClaimingSource,
+    RunTime,
     WarmingSource,
     WarmthFile,
+    machine_run_time,
     warm_up_s,
 )
 from service.engine_host.local_engine import LocalEngine
@@ -33,18 +34,21 @@ from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.waiting import eventually
 
 ADDRESS, OTHER = "realsense:1234", "orbbec:77"
+SERIAL, OTHER_SERIAL = "1234", "77"
 WARM_UP_S = 1800.0
 
 
 class Times:
+    """The run time of a machine; its wall clock is not asked."""
+
     def __init__(self):
-        self.at = datetime(2026, 11, 27, 9, 0, tzinfo=UTC)
+        self.boot, self.seconds = "the first start", 5_000.0
 
     def __call__(self):
-        return self.at
+        return RunTime(self.boot, self.seconds)
 
     def later(self, seconds):
-        self.at += timedelta(seconds=seconds)
+        self.seconds += seconds
 
 
 @pytest.fixture
@@ -61,13 +65,43 @@ def warm(share=0.0):
     return Warmth(WARM_UP_S, share)
 
 
+def written(file, serial=SERIAL, address=ADDRESS, share=0.0, *, is_used=True):
+    file.write(serial, warm(share), address=address, is_used=is_used)
+
+
 def test_a_camera_cools_between_two_sessions_and_another_is_cold(file, times):
-    file.write(ADDRESS, warm(0.02), is_used=True)
+    written(file, share=0.02)
     times.later(600.0)
     expected = warm(0.02)
     expected.rest(600.0)
-    assert file.read(ADDRESS, WARM_UP_S).cold_share == pytest.approx(expected.cold_share)
-    assert file.read(OTHER, WARM_UP_S).cold_share == 1.0
+    assert file.read(SERIAL, WARM_UP_S).cold_share == pytest.approx(expected.cold_share)
+    assert file.read(OTHER_SERIAL, WARM_UP_S).cold_share == 1.0
+
+
+def test_another_camera_at_the_same_socket_is_cold_and_so_is_one_without_a_serial_number(file):
+    written(file, address="1d27/0609@1/5")
+    written(file, serial="", address="1d27/0609@1/5")
+    for serial in (OTHER_SERIAL, ""):
+        assert file.read(serial, WARM_UP_S).cold_share == 1.0
+
+
+def test_after_the_machine_s_next_start_every_camera_is_cold_whatever_its_clock_says(file, times):
+    """Its power may have been off for a night, and the battery of the clock dead."""
+    written(file)
+    assert file.read(SERIAL, WARM_UP_S).cold_share == 0.0
+    times.boot = "the second start"
+    assert file.read(SERIAL, WARM_UP_S).cold_share == 1.0
+    assert file.newest() is None
+    times.boot, times.seconds = "the first start", 4_999.0
+    assert file.read(SERIAL, WARM_UP_S).cold_share == 1.0
+    times.boot = ""
+    assert file.read(SERIAL, WARM_UP_S).cold_share == 1.0
+
+
+def test_the_run_time_of_this_machine_goes_on(tmp_path):
+    first, second = machine_run_time(), machine_run_time()
+    assert first.boot == second.boot != ""
+    assert 0.0 < first.seconds <= second.seconds
 
 
 @pytest.mark.parametrize(
@@ -76,32 +110,38 @@ def test_a_camera_cools_between_two_sessions_and_another_is_cold(file, times):
         "",
         "[]",
         "{",
-        '{"realsense:1234": [0.0, "2026-11-27T09:00:00+00:00"]}',
-        '{"realsense:1234": [-0.1, "2026-11-27T09:00:00+00:00", "2026-11-27T09:00:00+00:00"]}',
-        '{"realsense:1234": [NaN, "2026-11-27T09:00:00+00:00", "2026-11-27T09:00:00+00:00"]}',
-        '{"realsense:1234": [0.0, "2026-11-27T09:00:00", "2026-11-27T09:00:00"]}',
-        '{"realsense:1234": [0.0, "2026-11-27T09:00:01+00:00", "2026-11-27T09:00:00+00:00"]}',
+        '{"1234": [0.0, "the first start", 5000.0]}',
+        '{"1234": [-0.1, "the first start", 5000.0, 5000.0, "a"]}',
+        '{"1234": [NaN, "the first start", 5000.0, 5000.0, "a"]}',
+        '{"1234": [0.0, "the first start", "x", 5000.0, "a"]}',
+        '{"1234": [0.0, "the first start", NaN, 5000.0, "a"]}',
+        '{"1234": [0.0, "the first start", 5001.0, 5000.0, "a"]}',
     ],
-    ids=["empty", "list", "cut", "short", "negative", "nan", "no zone", "from the future"],
+    ids=["empty", "list", "cut", "short", "negative", "nan", "no number", "no time", "from the future"],
 )
 def test_what_cannot_be_read_is_cold(file, tmp_path, content):
     (tmp_path / NAME).write_text(content)
-    assert file.read(ADDRESS, WARM_UP_S).cold_share == 1.0
+    assert file.read(SERIAL, WARM_UP_S).cold_share == 1.0
 
 
 def test_a_full_disk_costs_warmth_and_no_session(tmp_path, times):
-    WarmthFile(tmp_path / "absent", times).write(ADDRESS, warm(), is_used=True)
+    written(WarmthFile(tmp_path / "absent", times))
 
 
 def test_the_camera_of_the_newest_session_is_known(file, times):
     assert file.newest() is None
-    file.write(OTHER, warm(), is_used=True)
+    written(file, OTHER_SERIAL, OTHER)
     times.later(60.0)
-    file.write(ADDRESS, warm(), is_used=True)
+    written(file)
     times.later(60.0)
-    file.write(OTHER, warm(), is_used=False)  # kept running, not used
+    written(file, OTHER_SERIAL, OTHER, is_used=False)  # kept running, not used
     times.later(60.0)
     assert file.newest() == (ADDRESS, 120.0)
+
+
+def described(serial=SERIAL):
+    sizes = {"depth_size": (640, 480), "color_size": (640, 480)}
+    return SourceDescription(kind="fake", name="fake", fps=30.0, is_live=True, serial=serial, **sizes)
 
 
 class Camera:
@@ -113,6 +153,7 @@ class Camera:
 
     def open(self):
         self.is_open = True
+        return described()
 
     def read(self, _timeout_s):
         if self.frames == self.ends_after:
@@ -130,14 +171,17 @@ class Camera:
 def test_a_session_s_frames_warm_its_camera_and_its_end_is_written(file, tmp_path):
     warmth, camera = warm(1.0), Camera()
     source = WarmingSource(camera, warmth, file, ADDRESS)
-    source.open()
+    assert source.open().cold_share == 1.0
     for _ in range(601):
         source.read(1.0)
     source.close()
     expected = warm(1.0)
     expected.run(600.0)
-    assert json.loads((tmp_path / NAME).read_text())[ADDRESS][0] == pytest.approx(expected.cold_share)
+    assert json.loads((tmp_path / NAME).read_text())[SERIAL][0] == pytest.approx(expected.cold_share)
     assert not camera.is_open
+    again = WarmingSource(Camera(), warm(1.0), file, ADDRESS)
+    assert again.open().cold_share == pytest.approx(expected.cold_share)
+    again.close()
 
 
 @pytest.fixture
@@ -156,7 +200,7 @@ def cameras(monkeypatch):
 
 
 def test_the_camera_runs_on_between_two_sessions_until_the_next_one_needs_it(file, tmp_path, cameras):
-    file.write(ADDRESS, warm(0.5), is_used=True)
+    written(file, share=0.5)
     keeper = CameraKeeper(Settings(data_dir=tmp_path, keep_warm_min=60.0), file, MonotonicClock())
     keeper.start()
     eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 1000)
@@ -166,7 +210,7 @@ def test_the_camera_runs_on_between_two_sessions_until_the_next_one_needs_it(fil
     eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 10)
     keeper.end()
     assert not cameras[ADDRESS].is_open
-    assert file.read(ADDRESS, WARM_UP_S).cold_share < 0.3
+    assert file.read(SERIAL, WARM_UP_S).cold_share < 0.3
     assert before is not cameras[ADDRESS]
     keeper.start()  # after its end nothing takes the camera again
     assert not cameras[ADDRESS].is_open
@@ -176,7 +220,7 @@ def test_what_needs_the_camera_in_another_process_gets_it_and_the_keeper_takes_i
     file, tmp_path, cameras, monkeypatch
 ):
     monkeypatch.setattr("service.engine_host.camera_warmth.RETRY_S", 0.05)
-    file.write(ADDRESS, warm(0.5), is_used=True)
+    written(file, share=0.5)
     keeper = CameraKeeper(Settings(data_dir=tmp_path), file, MonotonicClock())
     keeper.start()
     eventually(lambda: ADDRESS in cameras and cameras[ADDRESS].frames > 100)
@@ -222,7 +266,7 @@ def test_qa_claims_the_camera_from_its_opening_to_its_close(tmp_path):
     ids=["not wanted", "too long ago", "needs none", "another room's"],
 )
 def test_no_camera_runs_on_where_the_site_does_not_want_it(file, tmp_path, times, cameras, settings, minutes):
-    file.write(ADDRESS, warm(), is_used=True)
+    written(file)
     times.later(60.0 * minutes)
     keeper = CameraKeeper(Settings(data_dir=tmp_path, **settings), file, MonotonicClock())
     keeper.start()
@@ -246,8 +290,7 @@ class Exclusive(Camera):
     def open(self):
         assert Exclusive.holder is None, "another has it"
         Exclusive.holder, self.is_open = self, True
-        sizes = {"depth_size": (640, 480), "color_size": (640, 480)}
-        return SourceDescription(kind="fake", name="fake", fps=30.0, is_live=True, **sizes)
+        return described()
 
     def read(self, timeout_s):
         threading.Event().wait(min(timeout_s, 0.01))
@@ -263,7 +306,7 @@ def test_a_session_gets_the_camera_that_was_kept_running(settings, monkeypatch):
     monkeypatch.setattr("service.engine_host.camera_warmth.KEEP_FROM_S", 0.0)
     use(monkeypatch, FakeDriver(["1d27/0601@1/2"], make=Exclusive))
     settings.data_dir.mkdir(exist_ok=True)
-    WarmthFile(settings.data_dir).write("1d27/0601@1/2", Warmth(900.0, 0.5), is_used=True)
+    WarmthFile(settings.data_dir).write(SERIAL, Warmth(900.0, 0.5), address="1d27/0601@1/2", is_used=True)
     adapter = LocalEngine(settings)
     adapter.stand_by()
     eventually(lambda: Exclusive.holder is not None)

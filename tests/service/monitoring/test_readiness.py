@@ -1,12 +1,15 @@
 """`/readyz`: what is missing, by codes that stay; asked often it costs nothing, and it never hangs for long."""
 
 import shutil
+import sqlite3
 import threading
 import time
 from collections import namedtuple
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
+from sqlalchemy import text
 from sqlalchemy.exc import OperationalError
 
 from service.core.periodic import PeriodicWorker
@@ -42,7 +45,7 @@ def probe_of(database, tmp_path):
         looks = {name: settings.pop(name) for name in list(settings) if name in LOOKS}
         return ReadinessProbe(
             database,
-            Settings(data_dir=tmp_path, **{"readiness_keep_ms": 0.0, **settings}),
+            Settings(data_dir=tmp_path, **{"readiness_keep_ms": 0.0, **OUTSIDE, **settings}),
             looks.pop("audit_troubles", list),
             **{"has_camera_runtime": lambda: True, "clock": clock, **({"now": now} if now else {}), **looks},
         )
@@ -50,6 +53,7 @@ def probe_of(database, tmp_path):
     return make
 
 
+OUTSIDE = {"audit_anchor_file": Path("/another/machine/anchors.jsonl")}
 LOOKS = ("audit_troubles", "ended_threads", "engine_trouble", "is_stopping", "has_camera_runtime", "certificate")
 
 
@@ -62,6 +66,12 @@ def test_where_nothing_is_missing_it_is_ready_and_states_when_it_looked(probe_of
     found = probe_of().readiness()
     assert (found.is_ready, found.not_ready, found.reasons, found.warnings) == (True, [], [], [])
     assert before <= found.checked_at <= datetime.now(UTC)
+
+
+@pytest.mark.parametrize("where", ["heads.jsonl", "below/heads.jsonl", "../elsewhere/../{}/heads.jsonl"])
+def test_anchors_in_the_data_folder_are_a_warning(probe_of, tmp_path, where):
+    found = probe_of(audit_anchor_file=tmp_path / where.format(tmp_path.name)).readiness()
+    assert (found.is_ready, codes(found.warnings)) == (True, [ReadinessCode.ANCHORS_INSIDE])
 
 
 @pytest.mark.parametrize(
@@ -237,3 +247,32 @@ def test_a_thread_that_died_is_missed(client, monkeypatch):
     answer = client.get("/readyz")
     assert (answer.status_code, answer.json()["reasons"][0]["code"]) == (503, "thread_ended")
     assert "armed-operator" in answer.json()["not_ready"][0]
+
+
+def test_anchors_that_lie_beside_the_audit_are_a_warning(probe_of):
+    found = probe_of(audit_anchor_file=None).readiness()
+    assert (found.is_ready, codes(found.warnings)) == (True, [ReadinessCode.ANCHORS_INSIDE])
+
+
+def test_a_write_ahead_log_that_grows_beside_a_reader_is_a_warning_and_shrinks_when_it_has_gone(
+    database, probe_of, monkeypatch
+):
+    monkeypatch.setattr("service.monitoring.readiness.MOST_LOG_MB", 20.0)
+    database.migrate()
+
+    def write(rows):
+        for number in range(rows):
+            with database.write() as db:
+                db.execute(text("CREATE TABLE IF NOT EXISTS big (value TEXT)"))
+                db.execute(text("INSERT INTO big VALUES (:value)"), {"value": f"{number}" * 500_000})
+
+    with sqlite3.connect(database.path) as reader:
+        reader.execute("BEGIN")
+        reader.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        write(60)
+        assert codes(probe_of().readiness().warnings) == [ReadinessCode.DATABASE_LOG_LARGE]
+        reader.rollback()
+    write(8)
+    write(8)
+    assert probe_of().readiness().warnings == []
+    assert database.log_bytes() <= 17 * 1024 * 1024

@@ -227,6 +227,7 @@ def test_what_the_gate_rests_on_is_reported_with_the_time_of_each_check(plan):
         CheckState(Check.SURFACE, is_on=True, since_us=now_us - 2_500_000, was_on=True),
         CheckState(Check.COLOR, is_on=False, since_us=now_us - 700_000, was_on=True),
         CheckState(Check.CAMERA, is_on=False, since_us=now_us, was_on=False),
+        CheckState(Check.MARKERS, is_on=True, since_us=now_us - 500_000, was_on=True),
     )
     message = message_of(replace(view, checks=states, movement=Movement(shift_mm=0.1, turn_deg=0.1)), plan)
     SCHEMA.validate(message)
@@ -234,7 +235,7 @@ def test_what_the_gate_rests_on_is_reported_with_the_time_of_each_check(plan):
         ("surface", "on", 2.5),
         ("color", "off", 0.7),
         ("camera", "never", 0.0),
-        ("markers", "on", None),
+        ("markers", "on", 0.5),
         ("clock", "off" if view.description.is_live else "never", None),
     ]
     assert message["checks"][2]["text"] == "too little of couch and floor is seen"

@@ -35,7 +35,13 @@ def launch_chromium(playwright: Playwright, *, is_shell: bool = True, home: Path
     executable = next(filter(None, map(shutil.which, names)), None)
     assert executable is not None, f"not on this machine: apt-get install -y --no-install-recommends {names[0]}"
     environment = None if home is None else {**os.environ, "HOME": str(home)}
-    return playwright.chromium.launch(executable_path=executable, headless=True, args=list(ARGUMENTS), env=environment)
+    return playwright.chromium.launch(
+        executable_path=executable,
+        headless=True,
+        args=list(ARGUMENTS),
+        ignore_default_args=["--hide-scrollbars"],
+        env=environment,
+    )
 
 
 def trust(home: Path, certificate: Path) -> None:

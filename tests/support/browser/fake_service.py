@@ -83,6 +83,7 @@ RECORDING = {
     "height_px": 480,
     "fps": 30,
     "has_color": True,
+    "mirrored": None,
     "problem": None,
 }
 PLAN = {
@@ -115,7 +116,9 @@ REPORT = {
         ],
     },
     "deviations": ["the beam line was simulated"],
-    "samples_sha256": "ab" * 32,
+    "content_sha256": "ab" * 32,
+    "differs": [],
+    "windows": [],
     "signatures": [],
     "signatures_needed": 1,
     "events": [
@@ -648,7 +651,7 @@ class FakeService:
     def _sign(self, body: dict[str, Any]) -> Response:
         assert self.person is not None
         signed = {"at": self._now(), "name": self.person["name"], "note": body["note"]}
-        self.report["signatures"].append(signed | {"is_signed": body["is_signed"]})
+        self.report["signatures"].append(signed | {"is_signed": body["is_signed"], "is_of_this": True})
         return JSONResponse(self.report)
 
     def _about_log_ins(self, path: str, body: Any) -> Response:

@@ -49,8 +49,10 @@ def opened_tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str
     page.set_extra_http_headers({TAB.decode(): number})
     tab = Tab(page=page, url=door[1])
     tab.watch()
-    yield tab
-    tab.page.close()
-    door[0].closed(number)
-    fake.is_up = False
+    try:
+        yield tab
+    finally:  # a page that is left open draws on, and every later test is slow
+        tab.page.close()
+        door[0].closed(number)
+        fake.is_up = False
     assert tab.complaints == []

@@ -24,6 +24,7 @@ class FakeDriver:
     label, install_hint = "the fake SDK", "nothing helps"
     is_player = True
     warm_up_s = 900.0
+    most_noise_mm = 12.0
 
     def __init__(
         self,

@@ -1,12 +1,17 @@
 """Recordings made in a test, by our writer and, for old software's files, record by record."""
 
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 
+from engine.capture.oni import records
 from engine.capture.oni.codec import encode_16zt, encode_jpeg
+from engine.capture.oni.records import RecordType
 from engine.capture.oni.writer import OniWriter
 from engine.core.frames import ColorImage, DepthImage
 
@@ -140,3 +145,18 @@ def build_old_recording(
         old.record(7, node)
     old.record(11, 0)
     return bytes(old.bytes)
+
+
+@contextmanager
+def stored_mirrored(*nodes: int) -> Iterator[None]:
+    """Have our writer note of these nodes that their pictures are mirrored, where OpenNI2's recorder does."""
+    pack = records.pack_record
+
+    def noted(kind: RecordType, node: int, *rest: object, **more: object) -> bytes:
+        head = b""
+        if kind is RecordType.STATE_READY:
+            head = records.pack_property(RecordType.INT_PROPERTY, node, "xnMirror", struct.pack("<Q", node in nodes))
+        return head + pack(kind, node, *rest, **more)  # type: ignore[arg-type]
+
+    with patch.object(records, "pack_record", noted):
+        yield

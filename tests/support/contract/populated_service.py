@@ -289,7 +289,7 @@ class World:
 
     def _note_body(self) -> dict[str, Any]:
         report = self._services.reports.of(self.known["ended_session_id"]).report
-        return {"is_signed": False, "note": "calm breathing", "samples_sha256": report.samples_sha256}
+        return {"is_signed": False, "note": "calm breathing", "content_sha256": report.content_sha256}
 
     def _log_in_body(self) -> dict[str, Any]:
         open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})

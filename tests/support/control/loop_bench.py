@@ -18,6 +18,7 @@ from engine.control.watchdog import Watchdog
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError
+from engine.core.fraction_arming import FractionArming
 from engine.core.frames import FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_status import LearningEvent, LearningStatus
@@ -143,7 +144,6 @@ class RecordingPipeline:
         self.distance_of_next: ReferenceDistance | None = None
         self.distance: ReferenceDistance | None = None
         self.is_position_required = False
-        self.is_fraction_continued = False
         self.position_check: PositionCheck | None = None
         self.surface_mm: FloatArray | None = None
         self.zero_number = 1
@@ -184,7 +184,6 @@ class RecordingPipeline:
             reference_proposals=self.proposals,
             reference_distance=self.distance if self.has_reference else None,
             is_position_required=self.is_position_required,
-            is_fraction_continued=self.is_fraction_continued,
             position_check=self.position_check if self.has_reference else None,
         )
 
@@ -222,6 +221,10 @@ class RecordingPipeline:
     def camera_returned(self) -> None:
         self.has_reference = False
         self._change("camera_returned")
+
+    def camera_warmed(self) -> None:
+        self.has_reference = False
+        self._change("camera_warmed")
 
     def take_notices(self) -> list[LearningEvent]:
         taken, self.notices = self.notices, []
@@ -279,6 +282,7 @@ class Bench:
         limits: GateLimits = LIMITS,
         beam: Callable[[Clock], SimulatedBeamLine] = WatchedBeamLine,
         is_written: bool = True,
+        fraction_arming: FractionArming | None = None,
         **capacities: int,
     ) -> None:
         self.clock = ManualClock(START_NS)
@@ -295,6 +299,7 @@ class Bench:
             limits=limits,
             clock=self.clock,
             watchdog=self.watchdog,
+            fraction_arming=fraction_arming,
             **capacities,
         )
         self.answers: list[Future[None]] = []
@@ -314,7 +319,7 @@ class Bench:
 
     def run(self) -> "Bench":
         self.loop.start()
-        assert self.loop.join(timeout_s=30.0), "the loop did not end"
+        assert self.loop.join(timeout_s=120.0), "the loop did not end"
         return self
 
     def records(self) -> list[FrameRecord]:

@@ -1,4 +1,4 @@
-"""A made-up second revision of the tables: upgrades and downgrades are tested with it until there is a real one."""
+"""A made-up revision of the tables after the last real one: upgrades and downgrades are tested with it."""
 
 import shutil
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from pathlib import Path
 import migrations as package
 from service.storage.database import migrations
 
-FIRST, SECOND = "0001", "0002"
+FIRST, SECOND = "0002", "0003"
 TITLE = "Made up: a table, and a column of the sessions."
 SCRIPT = f'''"""{TITLE}"""
 
@@ -39,7 +39,7 @@ def downgrade() -> None:
 
 @contextmanager
 def second_revision(folder: Path) -> Iterator[None]:
-    """Have this process know a second revision, written into ``folder``."""
+    """Have this process know a further revision, written into ``folder``."""
     scripts = folder / "migrations"
     shutil.copytree(Path(package.__path__[0]), scripts, ignore=shutil.ignore_patterns("__pycache__"))
     (scripts / "versions" / f"{SECOND}_made_up.py").write_text(SCRIPT, encoding="utf-8")

@@ -30,6 +30,8 @@ LIMITS = GateLimits(
 """Of an armed gate without a page: tests/engine/control/test_operators.py is about presence."""
 
 SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
+A_BREATH_FRAMES = 10
+"""Frames beyond an edge, without a gap, from which the patient has breathed: nine periods are 0.3003 s."""
 FRAMES_A_DWELL = 4
 """Three periods are 100.1 ms: the fourth good frame is the first that may turn the beam on."""
 

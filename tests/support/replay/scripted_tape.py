@@ -74,7 +74,7 @@ def lived(script: Sequence[Step], one: Taped) -> Taped:
     """Run a loop to its script's end."""
     one.source.script = list(script)
     one.loop.start()
-    assert one.loop.join(timeout_s=30.0), "the loop did not end"
+    assert one.loop.join(timeout_s=120.0), "the loop did not end"
     return one
 
 

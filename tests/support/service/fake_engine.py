@@ -93,7 +93,7 @@ def make_model(seed: int = 1) -> MotionModel:
 class FakeRunning:
     """One life of the fake engine; tests call :meth:`frame`, :meth:`transition` and :meth:`end`."""
 
-    def __init__(self, plan: SessionPlan, *, sample_capacity: int = 900) -> None:
+    def __init__(self, plan: SessionPlan | None, *, sample_capacity: int = 900) -> None:
         self.plan = plan
         self.samples: queue.Queue[FrameRecord] = queue.Queue(sample_capacity)
         self.transitions: queue.Queue[GateTransition] = queue.Queue(260)
@@ -117,6 +117,7 @@ class FakeRunning:
         self.operator_hold: str | None = None
         self.arming_state = "5e" * 16
         self.countersignature = CountersignatureState()
+        self.fraction_arming = None if plan is None else plan.fraction_arming
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
         self.is_reason_needed = False
@@ -184,6 +185,7 @@ class FakeRunning:
             learned_ranges=self.learned_ranges,
             arming_state=self.arming_state,
             countersignature=self.countersignature,
+            fraction_arming=self.fraction_arming,
             is_reason_needed=self.is_reason_needed,
         )
 

@@ -38,6 +38,8 @@ enum Kind : int64_t {
     NOISE = 23,     // rectangle n0..n3, n4..n5 mm at random
     SHIFT = 24,     // n0, n1 px to the right and down
     SPEED = 25,     // x0 times as fast; n0 position to go to first, or -1
+    TORN = 26,      // from row n0 on the picture of n1 frames before
+    AVERAGED = 27,  // the mean of the last n0 pictures' depths, where each has one
 };
 
 enum Field : int64_t { DATA_SIZE = 1, WIDTH = 2, HEIGHT = 3, STRIDE = 4, SENSOR = 5, FORMAT = 6, NO_DATA = 7 };

@@ -32,6 +32,8 @@ class Kind(enum.IntEnum):
     NOISE = 23
     SHIFT = 24
     SPEED = 25
+    TORN = 26
+    AVERAGED = 27
 
 
 class Streams(enum.IntFlag):

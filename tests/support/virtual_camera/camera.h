@@ -270,7 +270,7 @@ private:
         }
         case TIMESTAMP: shot.timestamp_us = c.n[0]; break;
         case INDEX: shot.index += c.n[0]; break;
-        default: if (c.kind >= FILL && c.kind <= SHIFT) shot.recipe.edits.push_back(edit);
+        default: if ((c.kind >= FILL && c.kind <= SHIFT) || c.kind >= TORN) shot.recipe.edits.push_back(edit);
         }
         return false;
     }

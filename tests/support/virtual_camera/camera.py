@@ -387,6 +387,14 @@ class VirtualXtion:
         """Move the picture, as a patient who slides on the couch."""
         return self.tell(Kind.SHIFT, n=(right_px, down_px), **when)
 
+    def tear(self, row: int, frames: int, **when: int) -> Receipt:
+        """Show from a row on the pictures of so many frames before, as where a transfer mixes two buffers."""
+        return self.tell(Kind.TORN, n=(row, frames), **when)
+
+    def average(self, frames: int, **when: int) -> Receipt:
+        """Show the mean of the last depths, as a driver's filter in time does."""
+        return self.tell(Kind.AVERAGED, n=(frames,), streams=Streams.DEPTH, **when)
+
     def breathe(self, speed: float, *, position: int = -1, **when: int) -> Receipt:
         """Let the patient breathe so many times as fast; 0 is a held breath, at ``position`` of the film or here.
 

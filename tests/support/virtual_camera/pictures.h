@@ -132,7 +132,7 @@ public:
         std::memcpy(depth_.data(), one, DEPTH_BYTES);
         if (recipe.is_mixed) mix(recipe, [&](int pixel) { depth_[pixel] = other[pixel]; });
         for (const Edit& edit : recipe.edits)
-            if (edit.command.streams & 1) edit_depth(edit, recipe.seed);
+            if (edit.command.streams & 1) edit_depth(edit, recipe);
         return depth_;
     }
 
@@ -141,7 +141,7 @@ public:
         std::memcpy(color_.data(), one, COLOR_BYTES);
         if (recipe.is_mixed) mix(recipe, [&](int pixel) { std::memcpy(&color_[3 * pixel], other + 3 * pixel, 3); });
         for (const Edit& edit : recipe.edits)
-            if (edit.command.streams & 2) edit_color(edit, recipe.seed);
+            if (edit.command.streams & 2) edit_color(edit, recipe);
         return color_;
     }
 
@@ -177,10 +177,26 @@ private:
         }
     }
 
-    void edit_depth(const Edit& edit, int64_t seed) {
+    // A position of the film that was shown so many frames before.
+    int64_t before(const Recipe& recipe, int64_t frames) const {
+        const int64_t all = ring_.frames();
+        return ((recipe.position - frames) % all + all) % all;
+    }
+
+    void average(const Recipe& recipe, int64_t frames) {
+        std::vector<int64_t> sums(PIXELS, 0), seen(PIXELS, 0);
+        for (int64_t ago = 0; ago < frames; ago++) {
+            const uint16_t* one = ring_.depth(before(recipe, ago));
+            for (int pixel = 0; pixel < PIXELS; pixel++) { sums[pixel] += one[pixel]; seen[pixel] += one[pixel] > 0; }
+        }
+        for (int pixel = 0; pixel < PIXELS; pixel++)
+            depth_[pixel] = seen[pixel] == frames ? uint16_t((sums[pixel] + frames / 2) / frames) : 0;
+    }
+
+    void edit_depth(const Edit& edit, const Recipe& recipe) {
         const Command& c = edit.command;
         Area area = area_of(c);
-        Random random(uint64_t(seed) * 31 + uint64_t(edit.number));
+        Random random(uint64_t(recipe.seed) * 31 + uint64_t(edit.number));
         switch (c.kind) {
         case FILL:
             if (c.n[4] >= 0) each(area, [&](int pixel) { depth_[pixel] = uint16_t(c.n[4]); });
@@ -201,14 +217,16 @@ private:
             each(area, [&](int pixel) { depth_[pixel] = uint16_t(c.n[4] + random.share() * double(c.n[5] - c.n[4])); });
             break;
         case SHIFT: shift<1>(depth_, c.n[0], c.n[1]); break;
+        case TORN: std::copy_n(ring_.depth(before(recipe, c.n[1])) + c.n[0] * W, PIXELS - c.n[0] * W, &depth_[c.n[0] * W]); break;
+        case AVERAGED: average(recipe, c.n[0]); break;
         default: break;
         }
     }
 
-    void edit_color(const Edit& edit, int64_t seed) {
+    void edit_color(const Edit& edit, const Recipe& recipe) {
         const Command& c = edit.command;
         Area area = area_of(c);
-        Random random(uint64_t(seed) * 37 + uint64_t(edit.number));
+        Random random(uint64_t(recipe.seed) * 37 + uint64_t(edit.number));
         switch (c.kind) {
         case FILL:
             if (c.n[5] >= 0)
@@ -224,6 +242,11 @@ private:
             });
             break;
         case SHIFT: shift<3>(color_, c.n[0], c.n[1]); break;
+        case TORN: {
+            const int64_t from = 3 * c.n[0] * W;
+            std::copy_n(ring_.color(before(recipe, c.n[1])) + from, COLOR_BYTES - from, &color_[from]);
+            break;
+        }
         default: break;
         }
     }

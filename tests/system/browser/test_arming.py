@@ -192,7 +192,7 @@ def test_who_armed_and_when_stays_visible_while_it_is_armed(fake: FakeService, t
 
 # -- random double clicks ---------------------------------------------------------------------------------------------
 
-CLICKS = 2_000
+CLICKS = 1_000
 ROUND = 100
 """Double clicks between two steps of the page's clock."""
 STATES = {
@@ -209,7 +209,7 @@ CLICK_ALL = """
     const target = document.elementFromPoint(x, y);
     if (target === null || target.closest("#do-log-out, #do-coach, .upload") !== null) continue;
     const sends = "#do-hold, #do-disarm, #do-stop, #do-reference, #do-retrain";
-    if (index % 25 !== 0 && target.closest(sends) !== null) continue;
+    if (index % 10 !== 0 && target.closest(sends) !== null) continue;
     const place = { bubbles: true, cancelable: true, clientX: x, clientY: y };
     target.dispatchEvent(new MouseEvent("click", { ...place, detail }));
     document.querySelector("#arming-close").click();
@@ -268,6 +268,103 @@ def test_random_double_clicks_never_arm(fake: FakeService, stepped: SteppedPage)
     press_arm_stepped(stepped)
     stepped.advance(STEP_MS)
     assert len(armings(fake)) == 1, "the same page arms when it is asked to"
+
+
+REAL_CLICKS = 100
+GAPS_MS = [0, 100, 300, 500, 700, 2_400]
+CALM_MS = 2_000
+"""How long a summary has to be on the screen, unchanged, before its button arms."""
+IS_ELSEWHERE = """
+([x, y]) => {
+  const target = document.elementFromPoint(x, y);
+  return target === null || target.closest("#do-log-out, #do-coach, .upload, a, select") !== null;
+}
+"""
+
+SUMMARY = """() => document.querySelector("#arming").hidden ? null :
+  ["patient", "edges", "items"].map((part) => document.querySelector(`#arming-${part}`).innerText).join("; ")"""
+
+
+class Hand:
+    """Real clicks of the mouse at random, and how long the summary under them has been as it is."""
+
+    def __init__(self, fake: FakeService, stepped: SteppedPage, chance: random.Random) -> None:
+        self.fake, self.stepped, self.page, self.chance = fake, stepped, stepped.page, chance
+        self.summary, self.shown_ms = None, 0
+        self.armed = self.refused = 0
+
+    def wait(self, milliseconds: int) -> None:
+        for _ in range(0, milliseconds, STEP_MS):
+            self.stepped.advance(STEP_MS)
+            now = self.page.evaluate(SUMMARY)
+            self.shown_ms = self.shown_ms + STEP_MS if now is not None and now == self.summary else 0
+            self.summary = now
+
+    def click(self, x: float, y: float, count: int) -> None:
+        """Click once; what arms has to be the button, with the summary unchanged for 2 s."""
+        if self.page.evaluate(IS_ELSEWHERE, [x, y]):
+            return
+        box = self.page.locator("#do-arm-now").bounding_box() if self.page.is_visible("#do-arm-now") else None
+        is_button = box is not None and box["x"] <= x <= box["x"] + box["width"]
+        is_button = is_button and box["y"] <= y <= box["y"] + box["height"]
+        before, shown_ms = len(armings(self.fake)), self.shown_ms
+        self.page.mouse.move(x, y)
+        self.page.mouse.down(click_count=count)
+        self.page.mouse.up(click_count=count)
+        self.wait(STEP_MS)
+        if len(armings(self.fake)) > before:
+            assert is_button, (x, y, box)
+            assert shown_ms >= CALM_MS - STEP_MS, f"the summary was shown for {shown_ms} ms only"
+            assert count == 1, "armed by the second click of two"
+            self.armed += 1
+        elif is_button:
+            self.refused += 1
+
+    def spot(self) -> tuple[float, float]:
+        boxes = self.page.evaluate(BOXES)
+        if self.page.is_visible("#do-arm-now") and self.chance.random() < 0.5:
+            box = self.page.locator("#do-arm-now").bounding_box()
+            boxes = [(box["x"], box["y"], box["width"], box["height"])]
+        x, y, width, height = self.chance.choice(boxes) if self.chance.random() < 0.8 else (8, 8, 1264, 784)
+        return x + self.chance.uniform(-8, width + 8), y + self.chance.uniform(-8, height + 8)
+
+    def open_summary(self) -> None:
+        for _ in range(3):
+            if self.page.is_visible("#arming"):
+                return
+            arm = self.page.locator("#do-arm")
+            if arm.is_visible() and arm.is_enabled():
+                box = arm.bounding_box()
+                self.click(box["x"] + 9, box["y"] + 9, 1)
+                return
+            self.page.keyboard.press("Escape")
+            self.wait(400)
+
+
+def test_random_real_clicks_with_the_summary_open_arm_only_by_its_button_and_only_once_it_could_be_read(
+    fake: FakeService, stepped: SteppedPage
+):
+    chance = random.Random(48)
+    stepped.open_settled(DISARMED)
+    hand = Hand(fake, stepped, chance)
+    open_before = 0
+    for _ in range(REAL_CLICKS // 2):
+        if chance.random() < 0.2:
+            fake.sample = chance.choice(list(STATES.values()))
+        elif chance.random() < 0.5:
+            fake.sample = DISARMED
+        hand.wait(chance.choice(GAPS_MS))
+        hand.open_summary()
+        hand.wait(chance.choice(GAPS_MS))
+        open_before += stepped.page.is_visible("#arming")
+        x, y = hand.spot()
+        hand.click(x, y, 1)
+        pause_ms = chance.choice(GAPS_MS)
+        hand.wait(pause_ms)
+        hand.click(x, y, 2 if pause_ms < 500 else 1)
+    assert open_before > REAL_CLICKS // 8, "the summary is open under many of them"
+    assert hand.refused > 5
+    assert hand.armed > 1, "the button does arm"
 
 
 @pytest.mark.parametrize("count", [1, 2])

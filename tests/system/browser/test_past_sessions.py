@@ -164,7 +164,7 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     expect(page.locator("#review-outcome")).to_have_text("Signed.")
     noted, signed = (body for path, body in fake.posts() if path.endswith("/signature"))
     assert (noted["is_signed"], signed["is_signed"]) == (False, True)
-    assert noted["samples_sha256"] == signed["samples_sha256"] == fake.report["samples_sha256"]
+    assert noted["content_sha256"] == signed["content_sha256"] == fake.report["content_sha256"]
 
 
 def test_who_may_not_sign_has_no_form_and_a_refusal_is_said(fake: FakeService, tab: Tab):

@@ -340,16 +340,18 @@ def test_what_the_plan_does_not_provide_for_asks_for_a_reason(fake: FakeService,
 def test_recordings_are_chosen_from_a_list_and_what_cannot_be_played_states_why(fake: FakeService, tab: Tab):
     fake.recordings.append(RECORDING | {"path": "cut.oni", "seconds": None, "problem": "cut.oni: is empty"})
     fake.recordings.append(RECORDING | {"path": "depth.oni", "has_color": False})
+    fake.recordings.append(RECORDING | {"path": "turned.oni", "mirrored": "depth and colour"})
     fake.sessions = []
     page = tab.open("idle")
     options = page.locator("[name=source] option")
-    expect(options).to_have_count(5)
+    expect(options).to_have_count(6)
     assert options.all_text_contents() == [
         "Choose a camera or recording",
         "First camera found",
         "demo/recording.oni · 40 s",
         "cut.oni: cut.oni: is empty",
         "depth.oni · 40 s · no colour",
+        "turned.oni · 40 s (stored mirrored, turned round)",
     ]
     expect(options.nth(3)).to_be_disabled()
     page.fill("[name=patient_reference]", "P-0200")

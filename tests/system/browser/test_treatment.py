@@ -94,9 +94,11 @@ def test_figures_that_are_old_are_not_shown(fake: FakeService, stepped: SteppedP
 
 
 def test_technical_figures_are_folded_away_and_say_where_one_is_bad(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", sample(unseen_cells=[[0, 0], [3, 4]])
+    position = {"shift_mm": 0.2, "turn_deg": 0.1, "height_mm": 0.1, "tilt_deg": 0.1, "roll_deg": 0.0, "travel_mm": 3.25}
+    fake.mode, fake.sample = "samples", sample(unseen_cells=[[0, 0], [3, 4]], position=position)
     page = tab.open("hold")
     expect(page.locator("#figure-seen")).to_have_text("110 of 112")
+    expect(page.locator("#figure-travel")).to_have_text("3.3")
     expect(page.locator("#figure-latency")).to_be_hidden()
     expect(page.locator("#figure-line")).to_be_visible()
     expect(page.locator("#technical")).to_have_attribute("data-bad", "no")

@@ -72,13 +72,15 @@ def test_without_a_learned_breath_the_edges_are_in_mm(fake: FakeService, tab: Ta
     expect(page.locator("#window-forecast")).to_contain_text("The learned breath is not known")
 
 
-def test_an_edge_is_dragged_on_the_trace(fake: FakeService, tab: Tab):
+def test_an_edge_is_dragged_on_the_trace(fake: FakeService, stepped: SteppedPage):
     fake.is_breathing = True
-    page = opened(fake, tab)
+    fake.sessions[0]["reference_proposals"] = [EXHALE, INHALE]
+    page = stepped.open_settled(DISARMED)
+    page.click("#do-window")
     page.select_option("[name=unit]", "mm")
     box = page.locator("#trace").bounding_box()
     assert box is not None
-    tab.await_that(lambda: page.get_attribute("#trace", "data-edges"), "the edges are not drawn")
+    stepped.advance_until(lambda: page.get_attribute("#trace", "data-edges"))
     lower, upper = map(float, (page.get_attribute("#trace", "data-edges") or "").split())
     page.mouse.move(box["x"] + 300, box["y"] + upper)
     page.mouse.down()

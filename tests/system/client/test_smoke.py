@@ -58,7 +58,9 @@ def plain(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plain")
     port = free_port()
     arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
-    with service_process(*arguments, port=port, log=folder / "log", data=folder / "data") as (_, client):
+    outside = {"TIDEGATE_AUDIT_ANCHOR_FILE": str(folder / "anchors.jsonl")}
+    where = {"port": port, "log": folder / "log", "data": folder / "data", "environment": outside}
+    with service_process(*arguments, **where) as (_, client):
         eventually(lambda: client.get("/readyz").status_code == 200, within_s=120.0)
         yield f"http://127.0.0.1:{port}", key_of(client)
 

@@ -55,7 +55,7 @@ def test_rows_of_before_and_after_arrive_and_the_audit_is_intact_there(followed)
         db.execute(text("UPDATE sessions SET status = 'ended', summary = '{}'"))
     count = followed.arrive()
     assert count.startswith("audit|35|")
-    assert [line.split("|")[1] for line in count.splitlines()[1:10]] == ["2"] * 9
+    assert [line.split("|")[1] for line in count.splitlines()[1:11]] == ["2"] * 10
     assert answer(followed.hub, followed.hub_name, "SELECT min(status) FROM sessions") == "ended"
     found = verified_at_hub(followed)
     assert (found.is_intact, found.rows) == (True, 35)

@@ -4,16 +4,27 @@ import html
 import io
 import math
 import re
+import shutil
+import sqlite3
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 import pyarrow.ipc
+import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
 from service.cli import app
+from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
+from service.sessions.report.window_words import window_text
+from service.storage.audit import Event
+from service.storage.audit.log import AuditLog
+from service.storage.database.engine import Database
 from service.web.app import create_app
 from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
 from tests.support.service.accounts import PeopleClient
@@ -178,13 +189,13 @@ def test_latencies_are_counted_in_steps_of_5_ms(client, played, samples):
 
 def sign(client, played, name, **changes):
     shown = export(client, played, "report").json()
-    body = {"operator": name, "note": "", "samples_sha256": shown["samples_sha256"]} | changes
+    body = {"operator": name, "note": "", "content_sha256": shown["content_sha256"]} | changes
     return client.post(f"/api/v1/sessions/{played.session_id}/signature", json=body)
 
 
 def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, played):
-    refused = sign(client, played, "A. Physicist", samples_sha256="00" * 32)
-    assert (refused.status_code, refused.json()["field"]) == (409, "samples_sha256")
+    refused = sign(client, played, "A. Physicist", content_sha256="00" * 32)
+    assert (refused.status_code, refused.json()["field"]) == (409, "content_sha256")
     assert sign(client, played, "A. Physicist", is_signed=False).status_code == 422, "a note has a text"
     noted = sign(client, played, "A. Physicist", is_signed=False, note="two coughs")
     assert [(one["is_signed"], one["note"]) for one in noted.json()["signatures"]] == [(False, "two coughs")]
@@ -271,3 +282,89 @@ def test_a_part_of_the_trace_and_a_moment_are_those_of_the_samples(client, playe
     assert shift > 2.0
     assert depth_mm(moment) - depth_mm(inhaled) == pytest.approx(shift, abs=0.6)
     assert 600.0 < depth_mm(moment) < 1200.0
+
+
+@contextmanager
+def changed_row(played, statement, back):
+    """Change the database beside the service, as somebody with its file can, and change it back."""
+    place = Settings(data_dir=played.data_dir).database_place
+    for one in (statement, back):
+        with sqlite3.connect(place) as file:
+            file.execute(*one)
+        file.close()
+        if one is statement:
+            yield
+
+
+def test_the_windows_are_the_prescribed_one_and_each_later_one_with_who_and_when(client, played, stated):
+    report = export(client, played, "report").json()
+    created = audit_rows(client, "session.create")[0]
+    first, *later = report["windows"]
+    assert (first["actor"], first["text"][:15]) == (created["actor"], "as prescribed: ")
+    assert first["text"] == f"as prescribed: {window_text(Window.model_validate(created['detail']['window']))}"
+    acts = [row for name in ("window", "baseline_correction") for row in audit_rows(client, f"session.{name}")]
+    assert len(later) == len([row for row in acts if row["outcome"] == "done"])
+    rows = [row for row in stated["Session"] if row[0].startswith("window, ")]
+    assert [row[1].split(" (")[0] for row in rows] == [one["text"] for one in report["windows"]]
+
+
+def test_a_reference_is_stated_with_its_moment_and_where_it_lies(client, played):
+    texts = [one["text"] for one in export(client, played, "report").json()["events"]]
+    asked = next(one for one in texts if one.startswith("reference set"))
+    assert re.search(r"\((end of exhale|end of inhale|the present level)", asked), asked
+    taken = next(one for one in texts if one.startswith("reference taken up"))
+    assert re.search(r"first reference of this fraction|mm from the fraction's first", taken), taken
+
+
+def test_a_report_whose_content_is_not_what_was_signed_says_so_first_and_takes_its_head_from_the_audit(client, played):
+    sign(client, played, "C. Physicist")
+    signed = export(client, played, "report").json()
+    assert signed["differs"] == []
+    patient, row_id = signed["session"]["patient_reference"], played.session_id
+    update = "UPDATE sessions SET patient_reference = ? WHERE id = ?"
+    with changed_row(played, (update, ("P-OTHER", row_id)), (update, (patient, row_id))):
+        changed = export(client, played, "report").json()
+        page = export(client, played, "report.html").text
+        pdf = export(client, played, "report.pdf").content
+    assert changed["session"]["patient_reference"] == patient
+    assert f"the database states patient_reference 'P-OTHER', and the audit '{patient}'" in changed["differs"]
+    assert any("the content differs from what C. Physicist signed" in one for one in changed["differs"])
+    assert not any(one["is_of_this"] for one in changed["signatures"] if one["is_signed"])
+    assert page.index("content differs from what") < page.index("<h1>")
+    assert len(pdf) > 1_000
+    assert export(client, played, "report").json() == signed
+
+
+def test_samples_that_were_cut_are_another_content(client, played):
+    sign(client, played, "D. Physicist")
+    place = played.data_dir / "samples" / f"{played.session_id}.parquet"
+    whole = place.read_bytes()
+    table = pyarrow.parquet.read_table(place)
+    try:
+        pyarrow.parquet.write_table(table.slice(0, table.num_rows // 2), place)
+        answer = client.get(f"/api/v1/sessions/{played.session_id}/report")
+    finally:
+        place.write_bytes(whole)
+    if answer.status_code == 200:  # or it is refused as damaged
+        assert any("D. Physicist signed" in one for one in answer.json()["differs"])
+    else:
+        assert answer.json()["code"] in {"samples_damaged", "samples_missing"}
+    assert export(client, played, "report").json()["differs"] == []
+
+
+def test_where_the_site_asks_for_two_one_of_them_has_not_armed(played):
+    """Signed anew in a copy: who armed, and a second person who armed, are not two independent ones."""
+    with tempfile.TemporaryDirectory() as folder:
+        data_dir = shutil.copytree(played.data_dir, f"{folder}/data")
+        place = Settings(data_dir=Path(data_dir)).database_place
+        settings = Settings(data_dir=Path(data_dir), allowed_hosts=("testserver",), countersignature=True)
+        with PeopleClient(create_app(settings)) as client:
+            report = export(client, played, "report").json()
+            assert report["signatures_needed"] == 2
+            armed = {one["actor"] for one in report["events"] if one["action"] == "session.arm"}
+            (armer,) = armed
+            AuditLog(Database(place)).write(
+                Event(actor="E. Therapist", action="session.arm", session_id=played.session_id)
+            )
+            assert [sign(client, played, name).status_code for name in (armer, "E. Therapist")] == [200, 409]
+            assert sign(client, played, "F. Physicist").status_code == 200

@@ -125,7 +125,7 @@ FAULTS = {
     "depth of nothing": lambda camera: camera.flat(0),
     "late frames": lambda camera: camera.late(300.0),
     "a clock that goes back": lambda camera: camera.clock(-1_000_000),
-    "a clock that jumps by a year": lambda camera: camera.clock(31_536_000_000_000 % 2**31),
+    "a clock that jumps by three minutes": lambda camera: camera.clock(203_000_000),
     "a clock that stands": lambda camera: camera.stuck_clock(),
     "the same picture again": lambda camera: camera.repeat(),
 }

@@ -36,6 +36,15 @@ LATE_S = 3.0
 AFTER_S = 20.0
 """Time after a label in which an event is no false alarm, because the breath was disturbed [s]."""
 CONFIDENCE_Z = 1.96
+FIRST_SEED = 100
+KINDS = ("cough", "sigh", "apnoea", "talking", "irregular")
+DRIFTS_MM_S = (0.1, 0.2, 0.4, 0.74)
+REGULAR_S = 1200.0
+MAX_SEEDS = 100
+MAX_HOURS = 100.0
+MAX_JOBS = 64
+PHASE_STEP = 10
+"""Every how many samples a phase error is stored: neighbouring errors are nearly equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,17 +97,6 @@ def wilson(found: int, count: int) -> tuple[float, float]:
     reach = CONFIDENCE_Z * np.sqrt(share * (1.0 - share) / count + z2 / (4 * count * count))
     scale = 1.0 + z2 / count
     return float(max(0.0, (middle - reach) / scale)), float(min(1.0, (middle + reach) / scale))
-
-
-FIRST_SEED = 100
-KINDS = ("cough", "sigh", "apnoea", "talking", "irregular")
-DRIFTS_MM_S = (0.1, 0.2, 0.4, 0.74)
-REGULAR_S = 1200.0
-MAX_SEEDS = 100
-MAX_HOURS = 100.0
-MAX_JOBS = 64
-PHASE_STEP = 10
-"""Every how many samples a phase error is stored: neighbouring errors are nearly equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

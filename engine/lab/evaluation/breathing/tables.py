@@ -18,6 +18,16 @@ MIN_SENSITIVITY = 0.95
 MAX_CYCLES = 3.0
 MAX_ALARMS_PER_10_MIN = 1.0
 TEN_MINUTES_S = 600.0
+EVENT_COLORS = {
+    BreathEventKind.COUGH: "#b5179e",
+    BreathEventKind.SIGH: "#0096c7",
+    BreathEventKind.APNOEA: "#222222",
+    BreathEventKind.TALKING: "#e08a00",
+    BreathEventKind.IRREGULAR: "#c23b22",
+    BreathEventKind.NO_CYCLE: "#7f1d1d",
+    BreathEventKind.DRIFT: "#3a5fcd",
+}
+SECONDS_PER_ROW = 120.0
 
 
 def tables_of(scored: list[ScoredSignal]) -> list[Table]:
@@ -185,18 +195,6 @@ def _mean(values: list[float]) -> float | None:
 def _median(one: MonitoredTrace) -> float | None:
     rates = one.output.rate_per_min[np.isfinite(one.output.rate_per_min)]
     return float(np.median(rates)) if rates.size else None
-
-
-EVENT_COLORS = {
-    BreathEventKind.COUGH: "#b5179e",
-    BreathEventKind.SIGH: "#0096c7",
-    BreathEventKind.APNOEA: "#222222",
-    BreathEventKind.TALKING: "#e08a00",
-    BreathEventKind.IRREGULAR: "#c23b22",
-    BreathEventKind.NO_CYCLE: "#7f1d1d",
-    BreathEventKind.DRIFT: "#3a5fcd",
-}
-SECONDS_PER_ROW = 120.0
 
 
 def draw_breathing(name: str, time_s: FloatArray, value_mm: FloatArray, output: MonitorOutput) -> Picture:

@@ -46,6 +46,12 @@ RULES = {
     HoldReason.BREATHING_IRREGULAR: "ceased",
     HoldReason.BEAM_ON_LIMIT: "beam-on limit",
 }
+INHALE = (60.0, 180.0)
+SECONDS = 80.0
+STOPS_S = 45.0
+SLIDE_MM_S = 0.7
+VOLUNTEERS = (1, 3, 5, 7, 9)
+TRIALS_EACH = 5 + 2 * len(DRIFTS_MM_S)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -219,14 +225,6 @@ def _exhales_and_breaths(seconds: FloatArray, values: FloatArray, rise_mm: float
     for before, after in pairwise(highs):
         lengths_s[before:after] = seconds[after] - seconds[before]
     return exhales, lengths_s
-
-
-INHALE = (60.0, 180.0)
-SECONDS = 80.0
-STOPS_S = 45.0
-SLIDE_MM_S = 0.7
-VOLUNTEERS = (1, 3, 5, 7, 9)
-TRIALS_EACH = 5 + 2 * len(DRIFTS_MM_S)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,8 @@ from engine.lab.evaluation.gating.timing import EdgeTiming
 from engine.lab.evaluation.table import Cell, Table
 
 TOLERANCE_MS = 10.0
+MAX_FALSE_PERCENT = 1.0
+PERCENT = 100.0
 
 
 def mark_ms(fps: float) -> float:
@@ -70,10 +72,6 @@ def _row(kind: tuple[str, bool], timings: list[EdgeTiming]) -> tuple[Cell, ...]:
 def _is_met(row: tuple[Cell, ...], fps: float) -> bool:
     latest = row[8]
     return isinstance(latest, float) and latest <= mark_ms(fps) and row[3] == row[4] == 0
-
-
-MAX_FALSE_PERCENT = 1.0
-PERCENT = 100.0
 
 
 def recorded_table(window: str, courses: Sequence[GatedCourse]) -> Table:

@@ -24,7 +24,7 @@ from engine.core.breath import WHOLE, Breath, SignalChoice
 from engine.core.clock import ManualClock
 from engine.core.frames import FloatArray, MeasurementState, Motion
 from engine.core.native_process import keep_calls_in_their_thread
-from engine.core.signals import HeadDirection, signal_of
+from engine.core.signals import HeadDirection, Ranges, signal_of
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
     AmplitudeWindow,
@@ -34,6 +34,7 @@ from engine.gating.windows import (
     JoinedWindow,
     PhaseWindow,
     WindowInput,
+    breath_depths,
     initial_states,
 )
 from engine.lab.evaluation.playback import decoded_frames
@@ -46,6 +47,18 @@ from engine.offline.offline_gate import Edge, TimedFrame, gate_edges, time_frame
 
 SHORTEST_BREATH_S = 1.5
 PROMINENCE_SHARE = 0.4
+DWELL_MS = 165.0
+"""Just under five frames at 30 frames/s, so that counting in frames adds no delay; settling times likewise."""
+STEP_US = 1_000
+MATCH_MS = 400.0
+REGION = (21, 9)
+POINT = 2
+WARM_UP_US = 12_000_000
+"""Time to find the phase before any edge is evaluated [us]."""
+_THORAX, _ABDOMEN = SignalChoice(signal="thorax"), SignalChoice(signal="abdomen")
+_CELL = SignalChoice(signal="region", row=REGION[0], column=REGION[1])
+_POINT = SignalChoice(signal="point", row=int(POINTS_RC[POINT][0]), column=int(POINTS_RC[POINT][1]), index=POINT)
+_VOLUME = SignalChoice(signal="volume")
 
 
 def true_phase_percent(motion: FloatArray, seconds: FloatArray) -> FloatArray:
@@ -67,17 +80,6 @@ def true_phase_percent(motion: FloatArray, seconds: FloatArray) -> FloatArray:
     return phase
 
 
-DWELL_MS = 165.0
-"""Just under five frames at 30 frames/s, so that counting in frames adds no delay; settling times likewise."""
-
-STEP_US = 1_000
-MATCH_MS = 400.0
-REGION = (21, 9)
-POINT = 2
-WARM_UP_US = 12_000_000
-"""Time to find the phase before any edge is evaluated [us]."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowKind:
     """An evaluated window, in per cent of the learned range, and its scenario."""
@@ -90,11 +92,6 @@ class WindowKind:
 def _percent(lower: float, upper: float, choice: SignalChoice = WHOLE, hysteresis: float = 0.0) -> AmplitudeWindow:
     return AmplitudeWindow(choice=choice, lower=lower, upper=upper, hysteresis=hysteresis, unit="percent")
 
-
-_THORAX, _ABDOMEN = SignalChoice(signal="thorax"), SignalChoice(signal="abdomen")
-_CELL = SignalChoice(signal="region", row=REGION[0], column=REGION[1])
-_POINT = SignalChoice(signal="point", row=int(POINTS_RC[POINT][0]), column=int(POINTS_RC[POINT][1]), index=POINT)
-_VOLUME = SignalChoice(signal="volume")
 
 KINDS = (
     WindowKind(name="exhale, whole", window=_percent(-60.0, 35.0)),
@@ -192,7 +189,7 @@ def time_gate(run: Run, folder: Path, on_done: Callable[[int], None]) -> list[Ed
             window = kind.window.resolved(ranges)
             from_us = first.timestamp_us + WARM_UP_US
             found += _compare(
-                kind.name, run, _real_edges(window, seen, from_us), true.edges(window, from_us), window, true
+                kind.name, run, _real_edges(window, seen, from_us, ranges), true.edges(window, from_us), window, true
             )
     return found
 
@@ -210,10 +207,15 @@ def _measure_recording(folder: Path, on_frame: Callable[[int], None]) -> tuple[P
     return pipeline, seen
 
 
-def _real_edges(window: GateWindow, seen: Sequence[TimedFrame], from_us: int) -> list[Edge]:
+def _real_edges(window: GateWindow, seen: Sequence[TimedFrame], from_us: int, ranges: Ranges) -> list[Edge]:
     """Edges of a gate on measured frames that are received when they are captured."""
     limits = GateLimits(
-        window=window, dwell_ms=DWELL_MS, min_good_frames=2, head_direction=HeadDirection.TOP, is_played=True
+        window=window,
+        dwell_ms=DWELL_MS,
+        min_good_frames=2,
+        head_direction=HeadDirection.TOP,
+        breath_depths=breath_depths(ranges),
+        is_played=True,
     )
     return gate_edges(limits, seen, from_us, "evaluation")
 

@@ -14,6 +14,12 @@ import numpy.typing as npt
 from engine.core.frames import BoolArray, FloatArray
 
 MIN_FRAMES = 30
+REACH_US = 120_000
+MAX_STEP_US = 250_000
+MIN_SAMPLES = 3
+_SAME_US = 1_000
+_UNIT_US = 1e5
+Times = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,15 +65,6 @@ def correlation(one: FloatArray, other: FloatArray) -> float | None:
     a, b = one - one.mean(), other - other.mean()
     spread = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum() / spread) if spread > 1e-12 else None
-
-
-REACH_US = 120_000
-MAX_STEP_US = 250_000
-MIN_SAMPLES = 3
-_SAME_US = 1_000
-_UNIT_US = 1e5
-
-Times = npt.NDArray[np.int64]
 
 
 def fit_at(times_us: Times, values: FloatArray, query_us: Times) -> FloatArray:

@@ -23,6 +23,8 @@ MIN_POINTS = 15
 # On white paper red, green and blue are equally bright, and often near saturation.
 ON_PAPER = LineSettings(min_contrast=12.0, max_rival=0.75, max_step_px=4.0, is_on_pattern=True)
 OFF_LINE_PX = 0.6
+FRAMES_PER_RECORDING = 20
+MAX_BYTES = 64 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,10 +132,6 @@ def _on_plane(rays: FloatArray, camera_from_board: RigidTransform) -> FloatArray
     normal = camera_from_board.rotation[:, 2]
     depth = float(normal @ camera_from_board.translation_mm) / (rays @ normal)
     return np.asarray(depth[:, None] * rays)
-
-
-FRAMES_PER_RECORDING = 20
-MAX_BYTES = 64 * 1024 * 1024
 
 
 def read_pictures(path: Path, camera: Intrinsics) -> Iterator[tuple[str, ColorImage]]:

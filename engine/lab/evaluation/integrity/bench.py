@@ -29,6 +29,10 @@ from engine.lab.phantom.sensor import USUAL
 T = TypeVar("T")
 
 MAX_JOBS = 64
+TITLES = {"integrity": "Falsified recordings", "conditions": "Light, skin, clothing and a cold camera"}
+LONGEST_WRONG_S = 0.5
+LONGEST_UNNAMED_S = 1.0
+LEAST_HONEST_PERCENT = 99.0
 
 
 def check_plan(volunteers: Sequence[int], seed: int, jobs: int) -> None:
@@ -127,12 +131,6 @@ def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None, Departure]:
 
 def _fitting(learned: Sequence[Volunteer], case: Case) -> list[Volunteer]:
     return [volunteer for volunteer in learned if _pose(volunteer) == _pose(case)]
-
-
-TITLES = {"integrity": "Falsified recordings", "conditions": "Light, skin, clothing and a cold camera"}
-LONGEST_WRONG_S = 0.5
-LONGEST_UNNAMED_S = 1.0
-LEAST_HONEST_PERCENT = 99.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

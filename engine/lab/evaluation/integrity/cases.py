@@ -32,7 +32,7 @@ DISPLACED = (LostReason.LAYOUT_CHANGED,)
 UNSEEN = (LostReason.COVERAGE_LOW, *COVERED)
 MOVED = (POSITION, HoldReason.PATIENT_SHIFTED)
 CAMERA = (LostReason.CAMERA_MOVED,)
-OLD = (LostReason.FRAME_FROZEN, HoldReason.FRAME_STALE)
+OLD = (LostReason.FRAME_FROZEN, LostReason.FRAME_TORN, HoldReason.FRAME_STALE)
 HONEST = "honest"
 HONEST_BREATHING_S = 40.0
 """Long enough for a breath hold, or an isovolume manoeuvre [s]."""
@@ -104,7 +104,7 @@ def cases(*, is_slow: bool = False) -> list[Case]:
         ("P1", (_moves,)),
         ("S13", (_camera_moves, _camera_faults)),
         ("S1", (_delays,)),
-        ("S8", (_stale,)),
+        ("S8", (_stale, _old_in_part)),
         ("P7", (_orientations,)),
         ("S16", (_silent_checks,)),
     )
@@ -312,6 +312,17 @@ def _delays() -> Iterator[Case]:
     for rate in (0.05, 0.2):
         stale = Stale(delay_s_per_s=rate)
         yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale), causes=OLD)
+
+
+def _old_in_part() -> Iterator[Case]:
+    for frames in (2, 8):
+        stale = Stale(torn_frames=frames)
+        size = f"{frames} frames"
+        yield Case(kind="lower half of the pictures old", size=size, falsification=_false(stale=stale), causes=OLD)
+    for frames in (4, 8):
+        stale = Stale(averaged_frames=frames)
+        size = f"{frames} frames"
+        yield Case(kind="depth averaged over frames", size=size, falsification=_false(stale=stale), causes=OLD)
 
 
 def _silent_checks() -> Iterator[Case]:

@@ -273,13 +273,20 @@ def _frames(
     for number in range(int(seconds * FPS)):
         time_s = start_s + number / FPS
         index = round(time_s * FPS)
-        old = None if stale is None or number < onset else _old_index(stale, number - onset, len(kept))
-        shown = _frame(studio, index, time_s) if old is None else kept[old]
-        if stale is not None and (stale.delay_s_per_s or number < onset):
-            kept.append(shown if old is None else _frame(studio, index, time_s))
-        if old is not None:
-            shown = _with_times(shown, index, time_s, 0.0 if stale is None else stale.flicker, rng)
-        yield shown, time_s
+        if stale is None:
+            yield _frame(studio, index, time_s), time_s
+            continue
+        if number < onset or stale.is_of_moving:
+            kept.append(_frame(studio, index, time_s))
+        if number < onset:
+            yield kept[-1], time_s
+        elif stale.torn_frames:
+            yield _torn(kept[-1], kept[-1 - stale.torn_frames]), time_s
+        elif stale.averaged_frames:
+            yield _averaged(kept[-stale.averaged_frames :]), time_s
+        else:
+            old = kept[_old_index(stale, number - onset, len(kept))]
+            yield _with_times(old, index, time_s, stale.flicker, rng), time_s
 
 
 def _old_index(stale: Stale, number: int, kept: int) -> int:
@@ -287,6 +294,21 @@ def _old_index(stale: Stale, number: int, kept: int) -> int:
     if stale.delay_s_per_s:
         return kept - 1 - round(stale.delay_s_per_s * number)
     return kept - stale.ring + number % stale.ring
+
+
+def _torn(frame: RgbdFrame, old: RgbdFrame) -> RgbdFrame:
+    """Return the frame with the lower half of both pictures from ``old``."""
+    depth_mm, color = frame.depth_mm.copy(), frame.color.copy()
+    depth_mm[len(depth_mm) // 2 :] = old.depth_mm[len(depth_mm) // 2 :]
+    color[len(color) // 2 :] = old.color[len(color) // 2 :]
+    return replace(frame, depth_mm=depth_mm, color=color)
+
+
+def _averaged(frames: list[RgbdFrame]) -> RgbdFrame:
+    """Return the last frame with the mean of the depths that have a reading in each of the frames."""
+    depths = np.stack([frame.depth_mm for frame in frames])
+    depth_mm = np.where((depths > 0).all(axis=0), np.rint(depths.mean(axis=0)), 0).astype(np.uint16)
+    return replace(frames[-1], depth_mm=depth_mm)
 
 
 def _with_times(frame: RgbdFrame, index: int, time_s: float, flicker: float, rng: np.random.Generator) -> RgbdFrame:

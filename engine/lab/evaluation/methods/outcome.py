@@ -18,6 +18,8 @@ COEFFICIENTS = 3
 TRAINING, MEASURING, LOST = 0, 1, 2
 
 Array = npt.NDArray[Any]
+_COLUMNS = ("timestamp_us", "state", "residual_mm", "valid_share", "is_trusted")
+_GROUPS = ("spectra", "pictures", "instruments")
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -164,9 +166,7 @@ class Outcome:
         return cls(truth=tracks.pop("truth"), tracks=tracks, **known)
 
 
-_COLUMNS = ("timestamp_us", "state", "residual_mm", "valid_share", "is_trusted")
 _TRACK = tuple(Track.__dataclass_fields__)
-_GROUPS = ("spectra", "pictures", "instruments")
 
 
 def _under(arrays: dict[str, Array], group: str) -> dict[str, Array]:

@@ -38,6 +38,9 @@ Grid = npt.NDArray[np.float32]
 _CORNERS = np.array(
     [[0, 0], [ROI_COLUMNS - 1, 0], [ROI_COLUMNS - 1, ROI_ROWS - 1], [0, ROI_ROWS - 1]], dtype=np.float32
 )
+REGION_PX = 25
+MM3_PER_L = 1e6
+_ROWS, _COLUMNS = ROI_ROWS // REGION_PX, ROI_COLUMNS // REGION_PX
 
 
 class Aligner:
@@ -256,11 +259,6 @@ class PlainReading:
 def unfiltered(frames_mm: list[Grid]) -> PlainModel:
     """Fit a model to unfiltered frames with their zeros (article, Figures 4b and 8b)."""
     return principal_components(np.stack([frame.ravel() for frame in frames_mm]))
-
-
-REGION_PX = 25
-MM3_PER_L = 1e6
-_ROWS, _COLUMNS = ROI_ROWS // REGION_PX, ROI_COLUMNS // REGION_PX
 
 
 class PlainVolume:

@@ -16,11 +16,10 @@ from engine.lab.evaluation.runs.marks import Mark, marks_table, reach
 from engine.lab.evaluation.runs.scores import ScoredRun
 from engine.lab.evaluation.table import Table
 
-# The report page: one HTML file with all tables and figures, without other files or network access.
-
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2327; --soft: #5b6770; --line: #d9dee2; --back: #fbfbfa; --card: #fff;
   --good: #0f766e; --bad: #b42318; }
+# The report page: one HTML file with all tables and figures, without other files or network access.
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e9eb; --soft: #9aa5ad; --line: #333b41; --back: #14181b;
   --card: #1b2024; --good: #4cc5b8; --bad: #ff8a7a; } }
 * { box-sizing: border-box; }
@@ -43,6 +42,22 @@ figure { margin: 1rem 0 2rem; } img { max-width: 100%; display: block; backgroun
 figcaption { margin-top: .4rem; color: var(--soft); font-size: .87rem; max-width: 85ch; }
 .verdict { font-weight: 600; } .met { color: var(--good); } .missed { color: var(--bad); }
 """
+_HOW = """<h2 id=how>Method</h2>
+<p>All methods measure the same frames of the same recording. Motion is the depth of the reference frame minus the
+current depth, positive towards the camera. Each method uses its own first measured frame as reference, the oracle
+uses ours; that frame's noise is part of every later error. All methods are scored on the same frames: those after
+the last method has finished training. An error is the absolute difference to the true motion of the skin at the
+region's grid points: of 700 cells of 10 x 10 points for the whole region, of single points for the five.</p>
+<p>The plain method is trained on a hundred frames spread over 15 s, as at the article's 6.7 frames per second. It
+applies the mode filter and the bilateral filter to those frames only, keeps three components, and sets a hole to the
+mean afterwards. The oracle is given the true spatial modes, the true position of every grid point, the depth of each
+reading before rounding, and the sensor's constant misfit; it fits only the modes' weights to each noisy frame. A
+method that has to learn the modes can hardly do better, unless it averages over time.</p>
+<p>The virtual sensor has the quantisation, correlated noise, holes, flicker, jumps, scale error and warm-up drift
+measured on real units. It is still a model: these figures describe the method with such a sensor, not a particular
+camera.</p>"""
+RESULTS = "results.json"
+RESULTS_SCHEMA = "tidegate.evaluation/1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,22 +100,6 @@ def page(heading: Heading, tables: list[Table], figures: list[Picture]) -> str:
     return "\n".join(parts)
 
 
-_HOW = """<h2 id=how>Method</h2>
-<p>All methods measure the same frames of the same recording. Motion is the depth of the reference frame minus the
-current depth, positive towards the camera. Each method uses its own first measured frame as reference, the oracle
-uses ours; that frame's noise is part of every later error. All methods are scored on the same frames: those after
-the last method has finished training. An error is the absolute difference to the true motion of the skin at the
-region's grid points: of 700 cells of 10 x 10 points for the whole region, of single points for the five.</p>
-<p>The plain method is trained on a hundred frames spread over 15 s, as at the article's 6.7 frames per second. It
-applies the mode filter and the bilateral filter to those frames only, keeps three components, and sets a hole to the
-mean afterwards. The oracle is given the true spatial modes, the true position of every grid point, the depth of each
-reading before rounding, and the sensor's constant misfit; it fits only the modes' weights to each noisy frame. A
-method that has to learn the modes can hardly do better, unless it averages over time.</p>
-<p>The virtual sensor has the quantisation, correlated noise, holes, flicker, jumps, scale error and warm-up drift
-measured on real units. It is still a model: these figures describe the method with such a sensor, not a particular
-camera.</p>"""
-
-
 def _table(table: Table, command: str) -> str:
     note = f"<p class=soft>{html.escape(table.note)}</p>" if table.note else ""
     printed = f"<p class=command>Printed by <code>{html.escape(command)}</code>; in {table.name}.csv.</p>"
@@ -116,10 +115,6 @@ def _figure(picture: Picture) -> str:
         f'<img alt="{alt}" src="data:image/png;base64,{data}">'
         f"<figcaption>{html.escape(picture.note)}</figcaption></figure>"
     )
-
-
-RESULTS = "results.json"
-RESULTS_SCHEMA = "tidegate.evaluation/1"
 
 
 def write_report(

@@ -33,6 +33,9 @@ from engine.motion.stages.preprocessing import fill_holes, smooth_bilateral
 
 RUNS = ("D02", "I03", "S01", "H01", "V01")
 Patches = Mapping[tuple[str, str], object]
+_PROJECTION = "engine.motion.stages.projection"
+_FITTING = "engine.motion.learning.fitting"
+_SMOOTHING = "engine.motion.learning.shape_smoothing"
 
 
 def _filtered_fit(depth_mm: FloatArray, valid: BoolArray, **settings: object) -> MotionModel:
@@ -63,9 +66,6 @@ class Variant:
             yield
 
 
-_PROJECTION = "engine.motion.stages.projection"
-_FITTING = "engine.motion.learning.fitting"
-_SMOOTHING = "engine.motion.learning.shape_smoothing"
 VARIANTS = (
     Variant(name="as shipped"),
     Variant(

@@ -9,6 +9,31 @@ from engine.lab.evaluation.runs.scores import Score, ScoredRun
 from engine.lab.evaluation.table import Table
 from engine.lab.phantom.sensor import BENCHED, USUAL
 
+CELLS_MM = {"table2": 0.16, "irregular": 0.16, "shift": 0.16, "dibh": 0.30, "isovolume": 0.20}
+_NAMES = {
+    "table2": "regular breathing",
+    "irregular": "irregular breathing",
+    "shift": "after a shift of the patient",
+    "couch": "shift while the couch goes down",
+    "dibh": "in breath holds",
+    "isovolume": "isovolume manoeuvre",
+    "drift": "drifting baseline",
+}
+LEAST_SHARE = 0.99
+WHOLE_MM = {
+    "table2": (0.10, 0.07),
+    "irregular": (0.10, 0.07),
+    "shift": (0.11, 0.07),
+    "couch": (0.11, 0.07),
+    "dibh": (0.11, 0.08),
+    "isovolume": (0.15, 0.08),
+    "drift": (0.11, 0.08),
+}
+"""Required of a recording measured whole: mean error of the cells, and with each cell's constant taken off."""
+STEREO = "active-stereo"
+STEREO_MM = (0.20, 0.06)
+"""Required on active stereo at 0.85 m: mean error of the cells, and of the whole region."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
@@ -46,31 +71,6 @@ class Mark:
         return value >= self.bound if self.is_least else value <= self.bound
 
 
-CELLS_MM = {"table2": 0.16, "irregular": 0.16, "shift": 0.16, "dibh": 0.30, "isovolume": 0.20}
-_NAMES = {
-    "table2": "regular breathing",
-    "irregular": "irregular breathing",
-    "shift": "after a shift of the patient",
-    "couch": "shift while the couch goes down",
-    "dibh": "in breath holds",
-    "isovolume": "isovolume manoeuvre",
-    "drift": "drifting baseline",
-}
-
-
-LEAST_SHARE = 0.99
-WHOLE_MM = {
-    "table2": (0.10, 0.07),
-    "irregular": (0.10, 0.07),
-    "shift": (0.11, 0.07),
-    "couch": (0.11, 0.07),
-    "dibh": (0.11, 0.08),
-    "isovolume": (0.15, 0.08),
-    "drift": (0.11, 0.08),
-}
-"""Required of a recording measured whole: mean error of the cells, and with each cell's constant taken off."""
-
-
 def reach(scored: list[ScoredRun]) -> list[Mark]:
     """Compare the scores with every target that has recordings."""
     usual = [one for one in scored if one.run.sensor == USUAL]
@@ -86,11 +86,6 @@ def _whole_marks(scored: list[ScoredRun]) -> list[Mark]:
             marks.append(_mark(f"{name} [mm]", bound, ran, lambda s: s.cells_mm, of=_offline))
             marks.append(_mark(f"{name}, constants out [mm]", left, ran, lambda s: s.constants_out_mm, of=_offline))
     return marks
-
-
-STEREO = "active-stereo"
-STEREO_MM = (0.20, 0.06)
-"""Required on active stereo at 0.85 m: mean error of the cells, and of the whole region."""
 
 
 def _stereo_marks(scored: list[ScoredRun]) -> list[Mark]:

@@ -18,6 +18,8 @@ from engine.lab.evaluation.runs.datasets import Run
 SILENT_MM = 1.0
 COLUMNS = ("plain", "ours", "oracle")
 WHOLE = ("smoothed", "offline")
+EVENTS = {"isovolume": "isovolume", "dibh": "hold"}
+"""Events whose frames a scenario is scored on; a patient shift is scored after the shift."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,10 +210,6 @@ def correlation(first: FloatArray, second: FloatArray) -> float:
     a, b = one - one.mean(), other - other.mean()
     size = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / size if size > 0.0 else float("nan")
-
-
-EVENTS = {"isovolume": "isovolume", "dibh": "hold"}
-"""Events whose frames a scenario is scored on; a patient shift is scored after the shift."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -100,9 +100,9 @@ export const readReport = (id) => call("GET", `${session(id)}/report`);
 /** A part of a session's trace, in at most `points` ranges. @param {{from_s?: number, to_s?: number, points: number}} part */
 export const readTrace = (id, part) => call("GET", `${session(id)}/trace?${new URLSearchParams(part)}`);
 export const readMoment = (id, atS) => call("GET", `${session(id)}/moment?${new URLSearchParams({ at_s: atS.toFixed(3) })}`);
-/** `samples` is the hash of those that the person looked at. */
-export const signReport = (id, operator, isSigned, note, samples) =>
-  call("POST", `${session(id)}/signature`, { operator, is_signed: isSigned, note, samples_sha256: samples });
+/** `content` is the hash of the report that the person looked at. */
+export const signReport = (id, operator, isSigned, note, content) =>
+  call("POST", `${session(id)}/signature`, { operator, is_signed: isSigned, note, content_sha256: content });
 export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
 export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

@@ -15,12 +15,23 @@ MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=
 
 
 class Answer(SimpleNamespace):
-    """A good answer, unless it is asked to be none."""
+    """A good answer, unless it is asked to be none; of the question's function unless it is another's."""
 
     is_refusal = False
+    function_code, dev_id, registers = None, 9, None
 
     def isError(self):  # noqa: N802 - pymodbus's name
         return self.is_refusal
+
+    def to(self, function, registers=None):
+        self.function_code = self.function_code or function
+        self.registers = registers if self.registers is None else self.registers
+        return self
+
+
+def byte(first):
+    """The bits of an answer to a question for one input: a whole byte."""
+    return [first, *[not first] * 7]
 
 
 class Client:
@@ -30,8 +41,8 @@ class Client:
         self.asked, self.connected, self.connects = [], True, True
         self.comm_params = SimpleNamespace(timeout_connect=None)
         self.confirmed = Answer(address=31, bits=[True])
-        self.kept = Answer()
-        self.read = Answer(bits=[reads_on, not reads_on])
+        self.kept = Answer(address=47)
+        self.read = Answer(bits=byte(reads_on))
         self.takes_s, self.now_s, self.error = 0.0, 100.0, None
 
     def _ask(self, *what, **options):
@@ -49,15 +60,15 @@ class Client:
 
     def write_coil(self, address, value, **options):
         self._ask("coil", address, value, **options)
-        return self.confirmed
+        return self.confirmed.to(5)
 
     def write_register(self, address, value, **options):
         self._ask("register", address, value, **options)
-        return self.kept
+        return replaced(self.kept).to(6, [value])
 
     def read_discrete_inputs(self, address, **options):
         self._ask("input", address, **options)
-        return self.read
+        return self.read.to(2)
 
 
 @pytest.fixture
@@ -83,7 +94,7 @@ def test_an_exchange_is_three_requests_each_with_what_is_left_of_the_time(client
 
 @pytest.mark.parametrize("reads_on", [True, False])
 def test_what_is_returned_is_the_first_input(client, reads_on):
-    client.read = Answer(bits=[reads_on, not reads_on])
+    client.read = Answer(bits=byte(reads_on))
     assert wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1) is reads_on
 
 
@@ -114,7 +125,7 @@ def test_nothing_is_asked_when_the_time_for_the_whole_exchange_is_over(client, t
 def test_a_connection_that_went_between_two_requests_is_not_made_again(client):
     def lose(*_what, **_options):
         client.connected = False
-        return client.confirmed
+        return client.confirmed.to(5)
 
     client.write_coil = lose
     with pytest.raises(BeamLineError, match=r"^the connection is gone$"):
@@ -138,10 +149,42 @@ def test_what_the_library_raises_is_reported_in_its_own_words(client):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
 
 
-def test_an_answer_without_a_bit_is_none(client):
-    client.read = Answer(bits=[])
-    with pytest.raises(BeamLineError, match=r"^an empty answer$"):
+@pytest.mark.parametrize("bits", [[], [True], [True] * 16])
+def test_an_answer_of_another_length_than_was_asked_for_is_none(client, bits):
+    client.read = Answer(bits=bits)
+    with pytest.raises(BeamLineError, match=rf"^an answer of {len(bits)} bits to a question for one: the read back$"):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "what"),
+    [("confirmed", 6, "the permit"), ("kept", 5, "the heartbeat"), ("read", 1, "the read back")],
+)
+def test_the_answer_to_another_question_is_none(client, name, function, what):
+    """A gateway that mixes answers up: coils in place of inputs, a register in place of a coil."""
+    setattr(client, name, replaced(getattr(client, name), function_code=function))
+    with pytest.raises(BeamLineError, match=rf"^it answers function {function} of device 9, .*: {what}$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+    setattr(client, name, replaced(getattr(client, name), function_code=None, dev_id=8))
+    with pytest.raises(BeamLineError, match=rf"of device 8, .*: {what}$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def replaced(answer, **changes):
+    return Answer(**{**vars(answer), **changes})
+
+
+@pytest.mark.parametrize("changes", [{"registers": [2]}, {"registers": []}, {"address": 48}])
+def test_a_confirmation_of_another_heartbeat_ends_the_exchange(client, changes):
+    client.kept = Answer(**{"address": 47, **changes})
+    with pytest.raises(BeamLineError, match=r"^it confirms something different than was written: the heartbeat$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_a_look_compares_the_answer_too(client):
+    client.read = Answer(bits=byte(True), function_code=1)
+    with pytest.raises(BeamLineError, match=r"^it answers function 1"):
+        wire(client).look(0.1)
 
 
 def test_connecting_begins_with_a_closed_client_and_its_own_patience(client):
@@ -190,7 +233,7 @@ def test_the_bounds_of_every_address_belong_to_it_and_what_is_refused_is_named(n
 
 @pytest.mark.parametrize("reads_on", [True, False])
 def test_a_look_reads_the_input_and_writes_nothing(client, reads_on):
-    client.read = Answer(bits=[reads_on])
+    client.read = Answer(bits=byte(reads_on))
     assert wire(client).look(0.1) is reads_on
     assert client.asked == [("input", 58, {"count": 1, "device_id": 9}, pytest.approx(0.1))]
 
@@ -213,7 +256,7 @@ def test_a_second_input_connects_reads_and_disconnects_and_its_errors_say_which_
 
 
 def test_the_beam_on_signal_is_a_fourth_request_and_known_until_the_connection_ends(client):
-    signals = {58: Answer(bits=[True]), 59: Answer(bits=[False])}
+    signals = {58: Answer(bits=byte(True)).to(2), 59: Answer(bits=byte(False)).to(2)}
     client.read_discrete_inputs = lambda address, **options: (
         client._ask("input", address, **options) or signals[address]
     )
@@ -238,7 +281,7 @@ def test_without_a_beam_on_input_none_is_read(client):
 
 
 def test_a_beam_on_signal_that_is_refused_fails_the_exchange(client):
-    answers = {58: Answer(bits=[True]), 59: Answer(is_refusal=True, exception_code=2)}
+    answers = {58: Answer(bits=byte(True)).to(2), 59: Answer(is_refusal=True, exception_code=2)}
     client.read_discrete_inputs = lambda address, **_options: answers[address]
     one = ModbusWire(client, replace(MAP, beam_on_input=59), name="the beam line at test")
     with pytest.raises(BeamLineError, match=r"^it refuses the beam-on signal \(Modbus exception 2\)$"):
@@ -254,7 +297,7 @@ def test_an_address_of_the_beam_on_signal_that_cannot_be_is_refused_by_name(addr
 def echoing(client):
     """The client of a device that confirms every coil as it is written."""
     client.write_coil = lambda address, value, **options: (
-        client._ask("coil", address, value, **options) or Answer(address=address, bits=[value])
+        client._ask("coil", address, value, **options) or Answer(address=address, bits=[value]).to(5)
     )
     return ModbusWire(client, replace(MAP, expected_coil=32), name="the beam line at test")
 

@@ -75,6 +75,16 @@ def test_the_heartbeat_s_relay_switches_at_every_count(heartbeat, code):
     assert port.written[1] == code
 
 
+def test_a_gate_is_expected_with_every_exchange_and_not_once_the_line_is_closed():
+    """A relay of its own: an accelerator can distinguish a held beam from a beam without gating."""
+    port = FakePort([b"\xa0\x01\x00\xa1"])
+    wire = relay(port, expected_channel=3)
+    wire.exchange(is_on=False, heartbeat=1, within_s=0.1)
+    assert port.written[:2] == [b"\xa0\x01\x00\xa1", b"\xa0\x03\x01\xa4"]
+    wire.close()
+    assert port.written[-1] == b"\xa0\x03\x00\xa3"
+
+
 @pytest.mark.parametrize(
     ("protocol", "said", "state"),
     [
@@ -389,11 +399,11 @@ def test_a_numato_board_counts_to_9_and_then_in_letters(channel, letter):
 @pytest.mark.parametrize(
     ("protocol", "low", "high"), [("lcus", 1, 16), ("lcus-text", 1, 16), ("numato", 0, 31)], ids=str
 )
-@pytest.mark.parametrize("field", ["channel", "heartbeat_channel"])
+@pytest.mark.parametrize("field", ["channel", "heartbeat_channel", "expected_channel"])
 def test_the_first_and_the_last_relay_are_relays_and_what_is_refused_is_named_with_its_bound(
     protocol, low, high, field
 ):
-    other = {"channel": 5, "heartbeat_channel": 6}
+    other = {"channel": 5, "heartbeat_channel": 6, "expected_channel": 7}
     for number in (low, high):
         serial_relay.check_channels(protocol, **(other | {field: number}))
     for number in (low - 1, high + 1):
@@ -403,6 +413,8 @@ def test_the_first_and_the_last_relay_are_relays_and_what_is_refused_is_named_wi
         assert refused.value.bound == f"a whole number from {low} to {high} for {protocol}"
     with pytest.raises(InvalidValueError) as refused:
         serial_relay.check_channels(protocol, 5, 5)
+    with pytest.raises(InvalidValueError, match=r"^expected_channel .*another than heartbeat_channel 6"):
+        serial_relay.check_channels(protocol, 5, 6, 6)
     assert (refused.value.field, refused.value.value) == ("heartbeat_channel", "5")
     assert refused.value.bound == "another than channel 5"
 

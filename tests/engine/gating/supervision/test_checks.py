@@ -7,7 +7,8 @@ from hypothesis import given, strategies as st
 
 from engine.core.frames import Evidence, MeasurementState
 from engine.core.gate_state import HoldReason
-from engine.gating.supervision.checks import MAX_UNCHECKED_US, Check, Checks
+from engine.gating.limits import MAX_UNCHECKED_US
+from engine.gating.supervision.checks import SEES_TOO_LITTLE, Check, Checks
 from tests.support.gating.streams import LIMITS, measured, unmeasured
 
 ALL = Evidence(surface=True, color=True, camera=True)
@@ -22,16 +23,17 @@ class Watched:
         self.index = 0
 
     def show(self, evidence, *, frames=1, has_reference=True):
-        """Return the hold at the last of so many frames."""
+        """Return the hold at the last of so many frames; of "markers" the frames have none."""
+        has_markers, evidence = evidence != Check.MARKERS, ALL if evidence == Check.MARKERS else evidence
         for _ in range(frames):
             self.index += 1
             frame = replace(measured(self.index), evidence=evidence, timestamp_us=self.index * PERIOD_US)
-            found = self.checks.check(frame, has_reference=has_reference)
+            found = self.checks.check(frame, has_reference=has_reference, has_markers=has_markers)
         return found
 
 
 def without(check):
-    return ALL._replace(**{check.value: False})
+    return check if check is Check.MARKERS else ALL._replace(**{check.value: False})
 
 
 @pytest.mark.parametrize("check", Check)
@@ -41,7 +43,7 @@ def test_a_check_that_cannot_work_any_more_holds_after_half_a_second(check):
     assert watched.show(without(check), frames=16) is None  # 0.50 s since the first of them
     found = watched.show(without(check))
     assert found.reason is HoldReason.CHECK_MISSING
-    assert found.detail.startswith(f"{check}, for 0.5 s: too little")
+    assert found.detail.startswith(f"{check}, for 0.5 s: {SEES_TOO_LITTLE[check]}")
     assert watched.show(ALL) is None
 
 
@@ -73,7 +75,12 @@ def test_frames_that_were_not_measured_neither_start_nor_end_the_time():
     watched.show(ALL)
     watched.show(without(Check.COLOR))
     watched.index += 30
-    assert watched.checks.check(unmeasured(measured(watched.index), MeasurementState.LOST), has_reference=True) is None
+    assert (
+        watched.checks.check(
+            unmeasured(measured(watched.index), MeasurementState.LOST), has_reference=True, has_markers=False
+        )
+        is None
+    )
     assert watched.show(without(Check.COLOR)).reason is HoldReason.CHECK_MISSING
 
 
@@ -89,3 +96,11 @@ def test_no_frame_is_unheld_whose_check_has_not_worked_for_longer_than_allowed(s
                 last_us = now_us
             is_overdue = last_us is not None and now_us - last_us > MAX_UNCHECKED_US + PERIOD_US
             assert (found is not None) == is_overdue
+
+
+def test_a_clock_that_goes_back_while_a_check_is_silent_holds():
+    watched = Watched()
+    watched.show(ALL)
+    assert watched.show(without(Check.SURFACE)) is None
+    watched.index -= 10
+    assert watched.show(without(Check.SURFACE)).reason is HoldReason.CHECK_MISSING

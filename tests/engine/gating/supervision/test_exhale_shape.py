@@ -86,3 +86,18 @@ def test_a_reference_accepts_the_present_shape_and_an_exhale_before_it_states_no
 
 def test_a_shape_that_is_no_number_holds():
     assert Breathing().breath(redistributed_mm=float("nan")) is not None
+
+
+@pytest.mark.parametrize(("pause_s", "reason"), [(20.0, "drifted"), (120.0, "drifted"), (140.0, "missing")])
+def test_a_breath_that_pauses_is_judged_up_to_the_longest_that_a_site_allows_and_then_said_to_be_missing(
+    pause_s, reason
+):
+    """The end of exhale is known when the next inhale has begun, at the end of the pause."""
+    breathing = Breathing()
+    breathing.show()
+    exhale_at = breathing.index + 1
+    for _ in range(round(pause_s * 29.97)):
+        assert breathing.show(redistributed_mm=2.0) is None
+    found = breathing.show(exhale_at=exhale_at)
+    assert found.reason is {"drifted": HoldReason.BASELINE_DRIFTED, "missing": HoldReason.CHECK_MISSING}[reason]
+    assert breathing.breath() is None, "the next breath is judged again"

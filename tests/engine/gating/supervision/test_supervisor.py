@@ -135,6 +135,20 @@ def test_every_repeated_picture_may_make_all_later_ones_older(new_between):
     assert sum(map(len, found)) == (5 if new_between == 0 else 2), "a new picture after the fault resets the sum"
 
 
+def test_the_second_picture_that_is_old_in_part_is_a_fault():
+    """A lower half that lags by two frames repeats two of them, and then never again: its parts stay of two moments."""
+    supervised = Supervised()
+    assert supervised.show(measured(0)) == ()
+    old = [unmeasured(measured(index), MeasurementState.LOST, LostReason.FRAME_TORN) for index in (1, 2)]
+    assert supervised.show(old[0]) == (), "one is a hold by itself, not a fault"
+    (hold,) = supervised.show(old[1])
+    assert hold.reason is HoldReason.FRAME_STALE
+    assert "50 allowed" in hold.detail
+    assert supervised.show(measured(3)) == ()
+    whole = [unmeasured(measured(index), MeasurementState.LOST, LostReason.FRAME_FROZEN) for index in (4, 5)]
+    assert [supervised.show(one) for one in whole] == [(), ()], "whole pictures have their own bound again"
+
+
 def test_the_markers_travel_is_that_of_the_last_ten_seconds():
     supervised = Supervised(max_shift_mm=20.0)
     there = lying(0).motion.surface_mm + np.array([0.0, 4.0, 0.0])

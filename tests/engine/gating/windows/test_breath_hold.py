@@ -12,7 +12,7 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict
 from tests.support.gating.bad_frames import HOLDS
-from tests.support.gating.streams import LIMITS, Stream, motion_of, unmeasured
+from tests.support.gating.streams import A_BREATH_FRAMES, LIMITS, Stream, motion_of, unmeasured
 
 LEVEL = AmplitudeWindow(lower=18.0, upper=24.0, hysteresis=0.5)
 WINDOW = BreathHoldWindow(level=LEVEL, settle_ms=500.0, still=0.6, max_drift=1.5, timeout_s=3.0)
@@ -36,6 +36,11 @@ def held(level_mm: float = 21.0) -> Stream:
     stream.good(SETTLE_FRAMES + DWELL_FRAMES)
     assert stream.gate.state is GateState.BEAM_ON
     return stream
+
+
+def breathe(stream: Stream) -> None:
+    stream.level_mm = 6.0
+    stream.good(A_BREATH_FRAMES)
 
 
 def test_free_breathing_waits_for_the_hold():
@@ -79,8 +84,8 @@ def test_the_hold_ends_on_drift_at_once_and_the_next_needs_a_breath():
     assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.BREATH_HOLD_DRIFTED)
     assert set(stream.good(60)) == {GateState.HOLD}
     assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
-    stream.level_mm = 6.0
-    assert stream.feed().reason is HoldReason.BREATH_HOLD_AWAITED
+    breathe(stream)
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_AWAITED
     stream.level_mm = 21.5
     assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
     assert stream.gate.breath_holds == 2
@@ -119,8 +124,7 @@ def test_the_hold_times_out_and_the_next_needs_a_breath():
     assert 80 <= on + DWELL_FRAMES <= 92  # three seconds at 29.97 frames a second
     assert stream.gate.reason is HoldReason.BREATH_HOLD_OVER
     assert set(states[on:]) == {GateState.HOLD}
-    stream.level_mm = 6.0
-    stream.feed()
+    breathe(stream)
     stream.level_mm = 21.0
     assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
 
@@ -186,8 +190,7 @@ def test_a_hold_that_was_not_seen_for_a_moment_still_may_not_drift_from_where_it
 
 def test_arming_counts_anew_and_a_hold_keeps_its_level_and_its_time():
     stream = held()
-    stream.level_mm = 6.0
-    stream.feed()
+    breathe(stream)
     stream.level_mm = 21.0
     stream.good(SETTLE_FRAMES + 20)
     assert stream.gate.breath_holds == 2
@@ -209,8 +212,7 @@ def test_arming_counts_anew_and_a_hold_keeps_its_level_and_its_time():
     stream.step(Arm(operator="ann"))
     assert stream.gate.breath_holds == 0
     assert GateState.BEAM_ON not in stream.good(60)
-    stream.level_mm = 6.0
-    stream.feed()
+    breathe(stream)
     stream.level_mm = 21.0
     assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
 
@@ -277,6 +279,7 @@ def being_held() -> ConditionState:
         highest=21.0,
         settled_at=21.0,
         held_since_us=FIRST_US,
+        timeout_s=3.0,
         holds=1,
     )
 
@@ -322,6 +325,7 @@ def test_it_is_held_from_the_settle_time_itself():
             highest=21.2,
             settled_at=21.2,
             held_since_us=then_us,
+            timeout_s=3.0,
             holds=1,
         ),
     )
@@ -402,3 +406,10 @@ def test_events_that_no_breath_hold_resembles_hold_in_it_too():
         events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0, detail="as the test wants it"),)
     )
     assert stream.feed(replace(stream.upcoming(), breaths=(cough,))).reason is HoldReason.BREATHING_IRREGULAR
+
+
+def test_the_least_time_of_all_windows_ends_a_hold():
+    stream = held()
+    stream.limits = replace(HOLD_LIMITS, window=replace(WINDOW, timeout_s=60.0))
+    assert stream.good(100)[-1] is GateState.HOLD
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_OVER

@@ -172,6 +172,7 @@ def test_every_number_among_the_limits_has_a_bound():
         "is_calibrated",
         "warm_up_s",
         "cold_share",
+        "breath_depths",
         "head_direction",
         "holding_events",
         "needs_all_checks",

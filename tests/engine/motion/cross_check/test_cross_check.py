@@ -449,3 +449,26 @@ def test_what_a_held_breath_shifts_to_the_thorax_is_allowed_beside_the_misfit_an
     misfit_mm = np.full(cell_surface.CELLS, 0.32)
     change = cell_surface.SurfaceChange(0.0, 0.0, 0.0, 5.9, redistributed_mm, misfit_mm, 0.32)
     assert (check._surface_changed(change) is not None) is is_lost
+
+
+@pytest.mark.parametrize(("moved_mm", "is_named"), [(1.5, False), (1.51, True)])
+def test_the_bound_of_a_moved_camera_is_a_millimetre_and_a_half_itself(moved_mm, is_named):
+    """The pictures above have whole millimetres; the mean of the scene has not."""
+    assert (CrossCheck(calibration())._camera_moved(moved_mm) is not None) is is_named
+
+
+@pytest.mark.parametrize(
+    ("trained_mm", "now_mm", "allowed_mm"), [(10.0, 10.0, 0.6), (0.2, 0.2, 0.34), (0.35, 0.14, 0.25)]
+)
+def test_a_surface_may_differ_by_what_noise_of_now_explains_and_by_six_tenths_at_most(trained_mm, now_mm, allowed_mm):
+    check = CrossCheck(calibration())
+    shapes = np.zeros((2, cell_surface.CELLS))
+    check.shapes = cell_surface.BreathingShapes(shapes=shapes, misfit_mm=trained_mm, reach_mm=7.5)
+    check._model = SimpleNamespace(noise_mm=trained_mm)
+    check.noise = SimpleNamespace(share_of=lambda trained: now_mm / trained)
+    check._position = lambda *_: None
+    for spread_mm, is_lost in ((allowed_mm - 0.01, False), (allowed_mm + 0.01, True)):
+        misfit_mm = np.full(cell_surface.CELLS, spread_mm)
+        change = cell_surface.SurfaceChange(0.0, 0.0, 0.0, 5.9, 0.0, misfit_mm, spread_mm)
+        check._disagreements = {}
+        assert (check._surface_changed(change) is not None) is is_lost

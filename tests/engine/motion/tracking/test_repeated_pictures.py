@@ -221,3 +221,55 @@ def test_a_loss_names_the_stream_and_how_often(stream, name):
 
 def test_a_colour_picture_with_its_old_time_is_no_silence_however_long_it_lasts():
     assert reasons(frame(index, color=0, color_time=0) for index in range(100)) == [None] * 100
+
+
+TORN = np.random.default_rng(11)
+BASE_MM = np.tile(np.linspace(700.0, 1300.0, 320), (240, 1))
+
+
+def noisy(count):
+    """Depth pictures of a still scene whose readings change as often as a real camera's: a third of them."""
+    return [(BASE_MM + 3.0 * TORN.integers(0, 2, BASE_MM.shape)).astype(np.uint16) for _ in range(count)]
+
+
+def torn(pictures, onset, rows, columns, lag):
+    """From the onset on a part of each picture is so many pictures old; None: it stays as it was."""
+    shown = []
+    for index, picture in enumerate(pictures):
+        old = pictures[onset - 1 if lag is None else max(index - lag, 0)]
+        now = picture.copy()
+        if index >= onset:
+            now[rows, columns] = old[rows, columns]
+        shown.append(replace(frame(index), depth_mm=now))
+    return reasons(shown)
+
+
+PARTS = {
+    "lower half": (slice(120, 240), slice(0, 320)),
+    "a side": (slice(0, 240), slice(160, 320)),
+    "a tile": (slice(60, 120), slice(80, 160)),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("lag", [1, 4, 8])
+def test_a_picture_that_is_old_in_part_is_old_for_as_long_as_it_lags(part, lag):
+    with_colors = 70
+    found = torn(noisy(with_colors), 50, *PARTS[part], lag)
+    assert found[:50] == [None] * 50
+    assert found[50 : 50 + lag] == [LostReason.FRAME_TORN] * lag
+
+
+def test_a_part_that_is_frozen_for_good_is_old_in_every_picture():
+    found = torn(noisy(80), 50, *PARTS["lower half"], None)
+    assert found == [None] * 50 + [LostReason.FRAME_TORN] * 30
+
+
+def test_a_part_that_never_changes_tells_nothing_and_one_that_hardly_does_is_not_old():
+    """A plate without noise; and a far wall, of which nineteen of twenty readings are the same again."""
+    pictures = noisy(100)
+    calm = TORN.random((100, 240, 160)) < 0.05
+    for index, picture in enumerate(pictures):
+        picture[:120, :160] = 900
+        picture[120:, :160] = 2000 + 30 * calm[index, :120]
+    assert {*reasons(replace(frame(index), depth_mm=one) for index, one in enumerate(pictures))} == {None}

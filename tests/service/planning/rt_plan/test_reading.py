@@ -95,6 +95,39 @@ def test_names_come_in_the_characters_of_their_country(terms, label):
     assert (found.label, found.beams[0].name) == (label, label)
 
 
+@pytest.mark.parametrize("terms", ["\\ISO 2022 IR 58", "ISO 2022 IR 6\\ISO 2022 IR 58"])
+def test_a_chinese_name_is_read_by_the_bytes_of_the_standard(terms):
+    """PS3.5, K: the bytes are written by hand, for a library's reader and writer share its mistakes."""
+    left_lung = b"\x1b$)A\xd7\xf3\xb7\xce"
+    written_by_hand = {
+        left_lung: "左肺",
+        b"A " + left_lung: "A 左肺",
+        left_lung + b"\x1b(B B": "左肺 B",
+    }
+    for raw, text in written_by_hand.items():
+        plan = photon_plan(RTPlanLabel="LABEL", RTPlanName="@" * len(raw))
+        plan.SpecificCharacterSet = "ISO_IR 100"
+        content = written(plan).replace(b"@" * len(raw), raw, 1)
+        assert read_plan(with_character_set(content, terms)).name == text
+
+
+def with_character_set(content, terms):
+    """Change the characters that a file declares in ISO_IR 100."""
+    declared = terms.encode() + b" " * (len(terms) % 2)
+    begin = content.index(b"\x08\x00\x05\x00CS")
+    return content[: begin + 6] + len(declared).to_bytes(2, "little") + declared + content[begin + 18 :]
+
+
+@pytest.mark.parametrize("announced", [0, 1, 3])
+def test_a_group_that_announces_another_number_of_beams_is_refused(announced):
+    """The beam that is missing may need another technique: a breath hold, beside one that is gated."""
+    groups = [group(beams=(1, 2))]
+    groups[0].NumberOfBeams = announced
+    error = refused(written(photon_plan(BeamSequence=[beam(), beam(2)], FractionGroupSequence=groups)))
+    assert error.field.endswith("(300A,0080) Number of Beams")
+    assert error.value == str(announced)
+
+
 def test_an_item_may_be_written_in_other_characters_than_what_is_around_it():
     other = setup(1, motion(), SpecificCharacterSet="ISO_IR 192", PatientSetupLabel="仰臥位")
     found = read_plan(written(photon_plan(SpecificCharacterSet="ISO_IR 100", PatientSetupSequence=[other])))

@@ -11,6 +11,7 @@ from sqlalchemy import select
 
 from service.core.settings.settings import Settings
 from service.storage.audit import AuditRow
+from service.storage.believed_time import BelievedTime
 from service.storage.files.cleanup import (
     AGAIN_S,
     EVERY_S,
@@ -108,7 +109,9 @@ def test_a_removal_that_cannot_be_written_down_does_not_happen(database, data_di
 def test_the_caretaker_waits_for_a_session_and_looks_every_hour(database, data_dir):
     is_busy = [True]
     settings = site(data_dir, retain_samples_days=30)
-    caretaker = CleanupWorker(database, settings, is_busy=lambda: is_busy[0], now=lambda: NOW)
+    caretaker = CleanupWorker(
+        database, settings, is_busy=lambda: is_busy[0], time=BelievedTime(database, now=lambda: NOW)
+    )
     assert caretaker._turn() == AGAIN_S
     assert removals(database) == []
     is_busy[0] = False

@@ -95,6 +95,8 @@ export class ArmingPanel {
     setText(byId("arming-why"), "");
     this.button.disabled = true;
     this.presses.reset();
+    // Reopened before the next drawing, the summary would keep the button's old waiting time.
+    this.guard.update(performance.now());
   }
 
   async #read() {

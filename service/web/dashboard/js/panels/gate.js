@@ -34,7 +34,7 @@ export class GatePanel {
     this.root.dataset.kind = view.kind;
     document.body.dataset.fresh = view.isCurrent ? "yes" : "no";
     setText(this.word, view.word);
-    this.word.dataset.length = view.word.length <= 7 ? "short" : view.word.length <= 10 ? "long" : "longest";
+    this.word.dataset.length = view.word.length <= 7 ? "short" : view.word.length <= 9 ? "medium" : view.word.length <= 10 ? "long" : "longest";
     setText(this.reason, view.reason);
     setText(this.detail, view.detail);
     setText(this.toDo, view.toDo ?? "");

@@ -14,6 +14,7 @@ const FIGURES = {
   "figure-residual": (s) => with_(s.residual_mm, (v) => fixed(v, 2)),
   "figure-coverage": (s) => with_(s.valid_share, (v) => `${fixed(100 * v, 0)} %`),
   "figure-seen": (s) => seenCells(s),
+  "figure-travel": (s) => with_(s.position?.travel_mm, (v) => fixed(v, 1)),
   "figure-fps": (s) => with_(s.fps, (v) => fixed(v, 1)),
   "figure-missed": (s) => with_(s.missed_frames, (v) => String(v)),
   "figure-latency": (s) => latency(s.latency_ms),

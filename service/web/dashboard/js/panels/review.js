@@ -127,8 +127,8 @@ export class Review {
   #signatures(report) {
     this.report = report;
     const { signatures, signatures_needed: needed } = report;
-    const lines = signatures.map((one) => tr(one.is_signed ? "review.signed" : "review.noted", { name: one.name, at: localTime(one.at), note: one.note === "" ? "" : `: ${one.note}` }));
-    const missing = needed - signatures.filter((one) => one.is_signed).length;
+    const lines = [...report.differs, ...signatures.map((one) => tr(one.is_signed ? "review.signed" : "review.noted", { name: one.name, at: localTime(one.at), note: one.note === "" ? "" : `: ${one.note}` }))];
+    const missing = needed - signatures.filter((one) => one.is_signed && one.is_of_this).length;
     if (missing > 0) lines.push(tr(needed > 1 ? "review.missing_second" : "review.missing", { missing }));
     byId("review-signatures").replaceChildren(...lines.map((one) => part("li", one)));
     this.form.hidden = !this.access.may("sign");
@@ -138,7 +138,7 @@ export class Review {
     const { id, report } = this;
     const note = this.form.elements.note.value.trim();
     try {
-      const signed = await signReport(id, this.access.person?.name ?? "", isSigned, note, report.samples_sha256);
+      const signed = await signReport(id, this.access.person?.name ?? "", isSigned, note, report.content_sha256);
       if (id !== this.id) return;
       this.form.reset();
       this.#figures(signed);

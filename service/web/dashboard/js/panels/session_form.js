@@ -60,7 +60,7 @@ export class SessionForm {
     setText(byId("camera-kinds"), missing.join(" · "));
     const cameras = devices.map((one) => new Option(one.name, `device:${one.uri}`));
     const files = recordings.map((one) => {
-      const option = new Option(one.problem === null ? `${one.path}${length(one)}` : `${one.path}: ${one.problem}`, `recording:${one.path}`);
+      const option = new Option(one.problem === null ? `${one.path}${length(one)}${one.mirrored === null ? "" : ` (${tr("session_form.stored_mirrored")})`}` : `${one.path}: ${one.problem}`, `recording:${one.path}`);
       option.disabled = one.problem !== null;
       return option;
     });

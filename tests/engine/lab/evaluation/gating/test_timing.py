@@ -88,7 +88,7 @@ def test_a_phase_window_is_judged_by_hindsight(true):
 
 @pytest.mark.parametrize("late_ms", [0.0, 50.0])
 def test_a_measurement_that_is_late_makes_edges_that_are_late(true, late_ms):
-    real = _real_edges(BELOW_MIDDLE, seen(late_ms / 1000.0), 2_000_000)
+    real = _real_edges(BELOW_MIDDLE, seen(late_ms / 1000.0), 2_000_000, {})
     on, off = _compare("k", plan(1, 60.0)[0], real, true.edges(BELOW_MIDDLE, 2_000_000), BELOW_MIDDLE, true)
     for timing in (on, off):
         assert timing.missed == timing.extra == 0
