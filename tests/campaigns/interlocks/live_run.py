@@ -4,6 +4,7 @@ The beam is really on before each. What is reported of it is what the line's own
 """
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,10 +22,11 @@ from engine.core.frames import Measurement
 from engine.core.gate_state import INTERLOCKS, GateState, HoldReason
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
+from engine.gating.windows.patient_breath import AWAY_S
 from tests.campaigns.interlocks.far_line import Edge, FarLine, SpoiledAnswers, far_line
 from tests.campaigns.interlocks.live_camera import LiveCamera, LivePipeline, Mischief, wait_ns
 from tests.support.control.loop_bench import drained
-from tests.support.gating.streams import LEVEL_MM
+from tests.support.gating.streams import LEVEL_MM, PERIOD_NS
 
 LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-5.0, upper_mm=5.0),
@@ -156,9 +158,9 @@ class LiveRun:
                 self.loop.submit(Arm(operator="ann")).result(timeout=5.0)
 
     def leave_window(self) -> None:
-        """The signal is above the window for some frames, as in the inhale."""
+        """The signal is above the window for long enough to be a breath, as in the inhale."""
         self.mischief.spoil = _inhaled
-        self.frames(4)
+        self.frames(math.ceil(AWAY_S * 1e9 / PERIOD_NS) + 3)
         self.mischief.spoil = None
 
     def has_reported(self, code: HoldReason, after_ns: int) -> bool:
