@@ -11,14 +11,17 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests processors lint security types contracts documents planted demo bench load faults kills mutants fuzz sanitize sbom scan lock clean docker-test release bundle
+.PHONY: help setup openni test-system check check-tests test verify tests processors lint security types contracts documents planted demo bench load faults kills mutants fuzz sanitize sbom scan lock clean docker-test release bundle
 
 demo:  ## two minutes: a virtual volunteer through the whole of Tidegate; KEEP=1 stays up, PORT=8080 another port
 	@$(MAKE) --no-print-directory -j2 $(PRODUCT) openni
 	@$(BIN)/tidegate demo $(if $(KEEP),--keep) $(if $(PORT),--port $(PORT))
 
-test: $(STAMP) $(CLIENT_STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@mkdir -p build; failed=; $(call OTHERS,lint security types contracts); $(MAKE) --no-print-directory tests || failed=" tests"; $(THEIRS)
+test: $(STAMP) $(CLIENT_STAMP) test-system  ## every behaviour once: lint, types, contracts, the tests of `--stage test`
+	@mkdir -p build; failed=; $(call OTHERS,lint security types contracts); $(MAKE) --no-print-directory tests STAGE=test || failed=" tests"; $(THEIRS)
+
+verify: $(STAMP) $(CLIENT_STAMP) test-system  ## what takes longer: campaigns, whole programs, cameras, browsers on a real service; then how long each module took
+	@$(MAKE) --no-print-directory tests STAGE=verify
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -66,7 +69,7 @@ test-system:
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-demo check check-tests test tests: export PYTHONDONTWRITEBYTECODE :=
+demo check check-tests test verify tests: export PYTHONDONTWRITEBYTECODE :=
 
 # Lint, types and contracts run beside the tests.
 OTHERS = $(MAKE) --no-print-directory --keep-going $(1) >build/check.log 2>&1 & others=$$!; trap 'kill $$others' INT
@@ -78,13 +81,14 @@ check: $(STAMP)  ## two minutes, no system packages: lint, types, contracts and 
 check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
-# Which test is of which part: tests/support/selection.py. Every part runs, whatever came of those before it.
+# Which test is of which stage and part: tests/support/selection.py. Every part runs, whatever came of those before it.
 # Three processes on two cores where no time is judged: one of them often waits for a browser, a database or a service.
 tests:
-	@rm -rf build/tests; failed=; \
-	part() { echo "-- $$1"; $(BIN)/pytest -q --part $$* --junitxml build/tests/$$1.xml --durations=15 || failed+=" $$1"; }; \
+	@rm -rf build/tests/$(STAGE)-*; failed=; \
+	part() { echo "-- $(STAGE), $$1"; $(BIN)/pytest -q --stage $(STAGE) --part $$* --junitxml build/tests/$(STAGE)-$$1.xml --durations=15 || failed+=" $$1"; }; \
 	part computing -n 3 --dist loadfile --no-loadscope-reorder; part waiting -n 2 --dist loadfile --no-loadscope-reorder; part alone; \
-	$(BIN)/python -m tests.support.documents.hazards build/tests/*.xml || failed+=" named-in-safety.md"; \
+	$(BIN)/python -m tests.support.documents.hazards $(STAGE) build/tests/$(STAGE)-*.xml || failed+=" named-in-safety.md"; \
+	$(BIN)/python -m tests.support.durations build/tests/*.xml; \
 	[ ! "$$failed" ] || { echo "FAILED:$$failed"; exit 1; }
 
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms

@@ -1,5 +1,7 @@
 """docs/2-clinical/safety.md and hazards.md: every rule and hazard is rated and names tests that exist and ran."""
 
+import pytest
+
 from tests.support.documents.hazards import (
     HAZARDS,
     PROBABILITIES,
@@ -7,10 +9,12 @@ from tests.support.documents.hazards import (
     SEVERITIES,
     check,
     named,
+    named_in,
     not_run,
     sections,
 )
 from tests.support.repository import ROOT
+from tests.support.selection import STAGES
 
 RULES = sections(SAFETY.read_text(encoding="utf-8"))
 ROWS = sections(HAZARDS.read_text(encoding="utf-8"))
@@ -45,8 +49,9 @@ def test_a_named_test_that_did_not_run_is_found_among_cases_and_files():
     assert not_run(expected, ran) == expected[2:]
 
 
-def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys):
-    first, *others = named()
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys, stage):
+    first, *others = named_in(stage)
     ran = tmp_path / "part.xml"
 
     def write(tests, inside=""):
@@ -61,9 +66,9 @@ def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys):
         )
 
     write(others)
-    assert check([ran, tmp_path / "absent.xml"]) == 1
+    assert check(stage, [ran, tmp_path / "absent.xml"]) == 1
     assert capsys.readouterr().out == f"safety.md or hazards.md names {first}, which did not run\n"
     write([first, *others])
-    assert check([ran]) == 0
+    assert check(stage, [ran]) == 0
     write([first, *others], "<skipped/>")
-    assert check([ran]) == 1
+    assert check(stage, [ran]) == 1

@@ -1,8 +1,9 @@
 """Which tests a run takes, by marks of their modules, and in which order it takes them.
 
-``pytest --part NAME`` runs one part of `make test`, ``pytest --fast`` what `make check` runs. A module is of the part
-that its ``pytestmark`` names, and else of the first. Its text is read for that: a module of another part is not
-imported. Slow are the modules so marked, those of the later parts, two folders, and tests with a fixture that needs a
+``pytest --part NAME`` runs one part, ``pytest --fast`` what `make check` runs. A module is of the part that its
+``pytestmark`` names, and else of the first. ``--stage test`` leaves out what is marked ``verification`` or lies in a
+folder of such tests, as `make test` does; ``--stage verify`` runs only that, as `make verify` does. The text of a module
+is read for that: one that is left out is not imported. Slow are the modules so marked, those of the later parts, two folders, and tests with a fixture that needs a
 system package or a recording. A new test is fast until one of these says otherwise; `make check` prints its slowest
 ten, so that one which does not belong there is seen.
 """
@@ -18,6 +19,9 @@ from tests.support.repository import ROOT
 PARTS = ("computing", "waiting", "alone")
 """Where no time is judged; what starts services, kills them and waits; what needs a core to itself."""
 MODULE_MARKS = re.compile(r"^pytestmark = (\[.*?^\]|.*?$)", re.MULTILINE | re.DOTALL)
+STAGES = ("test", "verify")
+"""Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
+VERIFICATION_FOLDERS = (ROOT / "tests/campaigns",)
 SLOW_FOLDERS = (ROOT / "tests/campaigns", ROOT / "tests/system")
 SLOW_FIXTURES = frozenset(
     {
@@ -34,9 +38,10 @@ STORAGE = "tests/service/storage/"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add ``--fast`` and ``--part``."""
+    """Add ``--fast``, ``--part`` and ``--stage``."""
     parser.addoption("--fast", action="store_true", help="only the fast tests, which need no system package")
-    parser.addoption("--part", choices=PARTS, help="only the tests of this part of `make test`")
+    parser.addoption("--part", choices=PARTS, help="only the tests of this part")
+    parser.addoption("--stage", choices=STAGES, help="only the tests of `make test`, or of `make verify`")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -45,9 +50,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         return True
     if not collection_path.match("test_*.py"):
         return None
-    marks, part = module_marks(collection_path), config.getoption("--part")
+    marks, part, stage = module_marks(collection_path), config.getoption("--part"), config.getoption("--stage")
     is_other = part is not None and part not in (marks & set(PARTS) or {PARTS[0]})
-    is_slow = config.getoption("--fast") and not marks.isdisjoint({"slow", *PARTS})
+    is_other = is_other or (stage is not None and stage != stage_of(collection_path))
+    is_slow = config.getoption("--fast") and not marks.isdisjoint({"slow", "verification", *PARTS})
     return True if is_other or is_slow else None
 
 
@@ -56,6 +62,12 @@ def module_marks(path: Path) -> frozenset[str]:
     """Return the names of the marks of a module's every test."""
     found = MODULE_MARKS.search(path.read_text(encoding="utf-8"))
     return frozenset(re.findall(r"pytest\.mark\.(\w+)", found[1])) if found else frozenset()
+
+
+def stage_of(path: Path) -> str:
+    """Return which command runs a module of tests."""
+    is_there = any(folder in path.parents for folder in VERIFICATION_FOLDERS)
+    return STAGES[is_there or "verification" in module_marks(path)]
 
 
 def is_slow(item: pytest.Item) -> bool:

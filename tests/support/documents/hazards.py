@@ -1,7 +1,7 @@
 """The rules of docs/2-clinical/safety.md and the hazards of hazards.md, and whether the tests that they name ran.
 
-``python -m tests.support.documents.hazards FILE...`` ends with 1 where a named test is in none of the files that
-``pytest --junitxml`` wrote: `make test` runs it at its end.
+``python -m tests.support.documents.hazards STAGE FILE...`` ends with 1 where a named test of that stage is in none of the
+files that ``pytest --junitxml`` wrote: `make test` and `make verify` run it at their end.
 """
 
 import re
@@ -12,6 +12,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from tests.support.repository import ROOT
+from tests.support.selection import stage_of
 
 CLINICAL = ROOT / "docs" / "2-clinical"
 SAFETY, HAZARDS = CLINICAL / "safety.md", CLINICAL / "hazards.md"
@@ -69,12 +70,18 @@ def named() -> list[str]:
     return list(dict.fromkeys(TEST.findall("".join(page.read_text(encoding="utf-8") for page in (SAFETY, HAZARDS)))))
 
 
-def check(files: Sequence[Path]) -> int:
-    """Print the named tests that did not run; return the exit code."""
-    missing = not_run(named(), [case for file in files if file.exists() for case in ran_in(file)])
+def named_in(stage: str) -> list[str]:
+    """Return those of them that this stage runs, and those that are not there."""
+    files = {test: ROOT / test.partition("::")[0] for test in named()}
+    return [test for test, file in files.items() if not file.exists() or stage_of(file) == stage]
+
+
+def check(stage: str, files: Sequence[Path]) -> int:
+    """Print the named tests of a stage that did not run; return the exit code."""
+    missing = not_run(named_in(stage), [case for file in files if file.exists() for case in ran_in(file)])
     sys.stdout.write("".join(f"safety.md or hazards.md names {test}, which did not run\n" for test in missing))
     return 1 if missing else 0
 
 
 if __name__ == "__main__":
-    sys.exit(check([Path(word) for word in sys.argv[1:]]))
+    sys.exit(check(sys.argv[1], [Path(word) for word in sys.argv[2:]]))
