@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
 
-from sqlalchemy import ColumnElement, Select, func, literal, or_, select, tuple_
+from sqlalchemy import JSON, ColumnElement, Select, Text, cast, func, literal, or_, select, tuple_, type_coerce
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from service.core.errors import BoundError, NotFoundError
@@ -40,6 +41,8 @@ AUDIT_ORDER = (
     .scalar_subquery()
 )
 """Which session was created first: by its first row in the audit, as the wall clock may have been set back."""
+TRANSITION_DETAIL = type_coerce(cast(AuditRow.detail, Text().with_variant(JSONB(), "postgresql")), JSON())
+"""What a transition's row says, whose text is sealed, as JSON that the database reads."""
 Seal = tuple[int, str]
 _NEWEST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
 
@@ -192,8 +195,7 @@ def transition_page(
     """Return a page of a session's gate transitions, oldest first, and the next cursor."""
     query = select(AuditRow).where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
     named = {name: getattr(filters, name) for name in ("to_state", "reason")}
-    fragments = [f'"{name}":"{value}"' for name, value in named.items() if value is not None]
-    query = query.where(*(AuditRow.detail.contains(text, autoescape=True) for text in fragments))
+    query = query.where(*(TRANSITION_DETAIL[name].as_string() == value for name, value in named.items() if value))
     query = query.order_by(AuditRow.sequence)
     if cursor is not None:
         query = query.where(AuditRow.sequence > _number(cursor))
