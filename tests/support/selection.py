@@ -2,10 +2,10 @@
 
 ``pytest --part NAME`` runs one part, ``pytest --fast`` what `make check` runs. A module is of the part that its
 ``pytestmark`` names, and else of the first. ``--stage test`` leaves out what is marked ``verification`` or lies in a
-folder of such tests, as `make test` does; ``--stage verify`` runs only that, as `make verify` does. The text of a module
-is read for that: one that is left out is not imported. Slow are the modules so marked, those of the later parts, two folders, and tests with a fixture that needs a
-system package or a recording. A new test is fast until one of these says otherwise; `make check` prints its slowest
-ten, so that one which does not belong there is seen.
+folder of such tests, as `make test` does; ``--stage verify`` runs only that, as `make verify` does. A module's text is
+read for that: one that is left out is not imported. Slow are the modules so marked, those of the later parts, two
+folders, and tests with a fixture that needs a system package or a recording. A new test is fast until one of these says
+otherwise; `make check` prints its slowest ten, so that one which does not belong there is seen.
 """
 
 import re

@@ -1,7 +1,7 @@
 """The rules of docs/2-clinical/safety.md and the hazards of hazards.md, and whether the tests that they name ran.
 
-``python -m tests.support.documents.hazards STAGE FILE...`` ends with 1 where a named test of that stage is in none of the
-files that ``pytest --junitxml`` wrote: `make test` and `make verify` run it at their end.
+``python -m tests.support.documents.hazards STAGE FILE...`` ends with 1 where a named test of that stage is in none of
+the files that ``pytest --junitxml`` wrote: `make test` and `make verify` run it at their end.
 """
 
 import re
