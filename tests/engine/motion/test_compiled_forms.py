@@ -423,8 +423,8 @@ def test_a_frame_is_explained_alike(components, seed, amplitude_mm, hole_share, 
     if is_accepted(expected):  # of others the weights have not settled, and every rounding grows; they are lost
         assert found.inlier_share == pytest.approx(expected.inlier_share, abs=0.002)
         assert np.count_nonzero(found.is_seen != expected.is_seen) <= 0.002 * valid.size
-        # Under a hand so thin that the frame is accepted, the weights have hardly settled either.
-        allowed_mm = 20.0 * EXACT_MM if change == "hand" else EXACT_MM
+        # The weights stop where a step changes little: both forms may stop a rounding apart, under a thin hand further.
+        allowed_mm = 2e-4 if change == "hand" else 5e-5
         assert found.residual_mm == pytest.approx(expected.residual_mm, abs=10.0 * allowed_mm)
         difference_mm = (found.coefficients - expected.coefficients) @ basis.points.T.astype(np.float64)
         assert abs(float(difference_mm.mean())) < allowed_mm
