@@ -55,6 +55,8 @@ HEAD: Literal["top"] = "top"
 """The virtual volunteers lie with the head at the top of the picture."""
 START_TIMEOUT_S = 60.0
 SILENCE_S = 15.0
+ENDED = 128 + signal.SIGTERM
+"""Exit code of a program that was ended, as a shell shows it."""
 LOOK_US = 500_000
 """How often the session is read for the proposed reference."""
 OPEN = frozenset({"created", "running"})
@@ -110,7 +112,6 @@ def demo(
     web page shows it live.
     """
     console = Console(highlight=False)
-    signal.signal(signal.SIGTERM, _leave)
     try:
         one_time_password = put_person(_data(folder), OPERATOR, by="tidegate demo")
         with _service(folder, _free_port(port)) as service:
@@ -132,7 +133,7 @@ def demo(
 
 def _leave(_signal: int, _frame: FrameType | None) -> None:
     """End as by Ctrl-C, so that the service is stopped, too."""
-    raise typer.Exit(128 + signal.SIGTERM)
+    raise typer.Exit(ENDED)
 
 
 def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -> Path:
@@ -198,21 +199,26 @@ def _service(folder: Path, port: int) -> Iterator[_Service]:
     command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
     log_path, address = folder / "service.log", f"http://127.0.0.1:{port}"
-    with (
-        log_path.open("wb") as log,
-        subprocess.Popen(
+    told: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _frame: told.append(number))
+    with log_path.open("wb") as log:
+        process = subprocess.Popen(
             [*command, "--recordings", str(folder.resolve())], stdout=log, stderr=log, env=environment
-        ) as process,
-        TidegateClient(address, retries=0, timeout_s=30.0) as api,
-    ):
+        )
         try:
-            yield _Service(address=address, api=api, process=process, log=log_path)
+            signal.signal(signal.SIGTERM, _leave)  # from here on the service is ended with it
+            if told:
+                raise typer.Exit(ENDED)
+            with TidegateClient(address, retries=0, timeout_s=30.0) as api:
+                yield _Service(address=address, api=api, process=process, log=log_path)
         finally:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends already
             process.terminate()
             try:
                 process.wait(timeout=10.0)
             except subprocess.TimeoutExpired:
                 process.kill()
+                process.wait()
 
 
 def _gate(api: TidegateClient, recording: Path, seconds: float, console: Console) -> Result:
