@@ -21,7 +21,18 @@ PARTS = ("computing", "waiting", "alone")
 MODULE_MARKS = re.compile(r"^pytestmark = (\[.*?^\]|.*?$)", re.MULTILINE | re.DOTALL)
 STAGES = ("test", "verify")
 """Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
-VERIFICATION_FOLDERS = (ROOT / "tests/campaigns",)
+VERIFICATION_FOLDERS = (
+    ROOT / "tests/campaigns",
+    ROOT / "tests/engine/lab",
+    *(
+        ROOT / "tests/system" / name
+        for name in (
+            *("beam_line", "bundle", "client", "cluster", "department", "docker", "engine_process"),
+            *("processors", "service", "tls", "virtual_camera"),
+        )
+    ),
+)
+"""Folders of which every module is of the second stage."""
 SLOW_FOLDERS = (ROOT / "tests/campaigns", ROOT / "tests/system")
 SLOW_FIXTURES = frozenset(
     {

@@ -8,7 +8,7 @@ import pytest
 from engine.core import compiled
 from tests.support.repository import ROOT
 
-pytestmark = pytest.mark.skipif(compiled.kernels() is None, reason="the numpy forms run")
+pytestmark = [pytest.mark.skipif(compiled.kernels() is None, reason="the numpy forms run"), pytest.mark.verification]
 SESSIONS = "tests/engine/motion/learning/test_confirmed_references.py"
 READS_BEYOND = """
 import ctypes

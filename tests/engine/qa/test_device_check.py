@@ -10,6 +10,8 @@ from engine.core.frames import RgbdFrame
 from engine.core.geometry import Intrinsics
 from engine.qa.device_check import DeviceCheck
 
+pytestmark = pytest.mark.verification
+
 SIZE = (128, 128)
 DESCRIBED = SourceDescription(
     kind="made up", name="Made up", depth_size=SIZE, color_size=SIZE, fps=30.0, is_live=True, serial="1"

@@ -29,7 +29,7 @@ from engine.qa.trace import CommandedTrace, read_commanded
 from tests.support.qa.phantom_frames import watched
 from tests.support.repository import DATA
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 ROBOT = DATA / "qa" / "LiverTraj_LargeSIandAP70s_robot.txt"
 FRAME_MS = 1e3 / 29.97

@@ -33,7 +33,7 @@ from tests.support.qa.altered_plate import Altered
 from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched
 
-pytestmark = [pytest.mark.long, pytest.mark.slow]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.verification]
 
 PLATE_S = 12.0
 RUNS, BATCHES, PLATES = 20, 2, 4

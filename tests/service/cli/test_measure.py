@@ -14,7 +14,7 @@ from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.model_file import load_model
 from tests.support.command_line import invoke, measured
 
-pytestmark = [pytest.mark.long, pytest.mark.slow]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.verification]
 
 
 @dataclass(frozen=True)

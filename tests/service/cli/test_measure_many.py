@@ -22,7 +22,7 @@ from service.cli import app
 from service.cli.measure.many import COLUMNS, summary_row
 from service.cli.measure.options import MAX_JOBS, calibrations, check_jobs, folders
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 OUT = Path("out")
 

@@ -9,6 +9,8 @@ from engine.motion.learning import refit
 from engine.motion.learning.model_file import load_model
 from tests.support.command_line import measured
 
+pytestmark = pytest.mark.verification
+
 
 def test_every_frame_is_measured_also_those_of_the_training(measured_twice, measured_live):
     rows, summary, said = measured_twice.rows, measured_twice.summary, measured_twice.said

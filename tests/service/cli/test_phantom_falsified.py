@@ -11,7 +11,7 @@ from engine.lab.evaluation.integrity.cases import cases, falsification_of
 from engine.lab.phantom.truth import load_truth
 from service.cli import app
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 MOVED_AT_S = 24.0
 

@@ -206,6 +206,7 @@ REFUSALS = [
     (("baseline", *ME, "--reason", "", "--camera-distance-mm", "850"), "--reason"),
     (("baseline", *ME, "--reason", "x", "--camera-distance-mm", "850", "--from-run", "ab"), "not both"),
     (("baseline", *ME, "--reason", "x", "--from-run", "ab"), "no such QA run"),
+    pytest.mark.verification,
 ]
 
 

@@ -9,7 +9,7 @@ from playwright.sync_api import Page
 from tests.support.browser.fake_service import FakeService, alarm, sample
 from tests.support.browser.stepped_page import SteppedPage
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 HIGH = alarm(1, "beam_without_permit", "high", "The accelerator reports beam on without a permit", latches=True)
 MEDIUM = alarm(2, "patient_shifted", "medium", "The patient has moved on the couch")

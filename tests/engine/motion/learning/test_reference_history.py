@@ -15,7 +15,7 @@ from engine.motion.learning import reference_history
 from tests.support.motion import small_scene
 from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.verification]
 
 EXHALE, INHALE, NOW = ReferenceMoment
 BREATH = 120

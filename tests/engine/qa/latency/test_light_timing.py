@@ -14,6 +14,8 @@ from engine.qa.latency.light_driver import LightChange, intervals_ns, refuse_pat
 from engine.qa.latency.light_timing import latency_by_light
 from engine.qa.playing import frames_of
 
+pytestmark = pytest.mark.verification
+
 SECONDS = 35.0
 
 

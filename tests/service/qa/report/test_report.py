@@ -17,7 +17,7 @@ from service.qa.report.style import DASH, LOOKS, number
 from tests.support.qa.sample_runs import report, run_detail, sample_series, trends
 from tests.support.repository import ROOT
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 
 def read(pdf: bytes, tmp_path) -> str:

@@ -185,6 +185,7 @@ BAD = [
     ("beam.pulse_ms", 200.1, "beam.pulse_ms"),
     ("beam.extra", 1, "beam.extra"),
     ("simulation", {}, "plate"),
+    pytest.mark.verification,
 ]
 
 
