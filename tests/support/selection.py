@@ -18,7 +18,7 @@ from tests.support.repository import ROOT
 
 PARTS = ("computing", "waiting", "alone")
 """Where no time is judged; what starts services, kills them and waits; what needs a core to itself."""
-MODULE_MARKS = re.compile(r"^pytestmark = (\[.*?^\]|.*?$)", re.MULTILINE | re.DOTALL)
+MODULE_MARKS = re.compile(r"^pytestmark = (\[[^\]]*\]|.*?$)", re.MULTILINE | re.DOTALL)
 STAGES = ("test", "verify")
 """Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
 VERIFICATION_FOLDERS = (

@@ -27,7 +27,7 @@ from tests.support.repository import ROOT
 from tests.support.site_settings import give_settings, with_config
 from tests.support.waiting import eventually
 
-pytestmark = [pytest.mark.long, pytest.mark.slow]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.verification]
 
 ME = ("--operator", "A. Physicist")
 PATIENCE_S = 120.0
@@ -206,7 +206,6 @@ REFUSALS = [
     (("baseline", *ME, "--reason", "", "--camera-distance-mm", "850"), "--reason"),
     (("baseline", *ME, "--reason", "x", "--camera-distance-mm", "850", "--from-run", "ab"), "not both"),
     (("baseline", *ME, "--reason", "x", "--from-run", "ab"), "no such QA run"),
-    pytest.mark.verification,
 ]
 
 

@@ -16,7 +16,7 @@ from tests.support.browser.page_states import STATES, make_fake
 from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
 
-pytestmark = [pytest.mark.browser, pytest.mark.verification]
+pytestmark = [pytest.mark.long, pytest.mark.browser, pytest.mark.verification]
 
 BORDER = 3.0
 SMALL = (320, 640)

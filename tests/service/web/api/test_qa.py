@@ -37,7 +37,7 @@ from tests.support.service.busy_threads import (
 )
 from tests.support.waiting import eventually
 
-pytestmark = [pytest.mark.both_databases, pytest.mark.long, pytest.mark.slow]
+pytestmark = [pytest.mark.both_databases, pytest.mark.long, pytest.mark.slow, pytest.mark.verification]
 
 URL = "/api/v1/qa"
 ME = {"operator": "A. Physicist"}
@@ -185,7 +185,6 @@ BAD = [
     ("beam.pulse_ms", 200.1, "beam.pulse_ms"),
     ("beam.extra", 1, "beam.extra"),
     ("simulation", {}, "plate"),
-    pytest.mark.verification,
 ]
 
 

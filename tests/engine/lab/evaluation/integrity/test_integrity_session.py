@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError, ModelError
+from engine.lab.evaluation.integrity import session as session_module
 from engine.lab.evaluation.integrity.bench import check_plan, integrity_table, verdict
 from engine.lab.evaluation.integrity.cases import HONEST_S, cases, conditions
 from engine.lab.evaluation.integrity.session import FPS, SIGNALS, learn, run
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,9 @@ def test_a_plan_out_of_bounds_is_refused_by_field(plan, field):
         check_plan(*plan)
 
 
-def test_where_no_marker_is_found_nothing_is_learned_and_the_row_says_why():
+def test_where_no_marker_is_found_nothing_is_learned_and_the_row_says_why(monkeypatch):
     case = next(one for one in conditions() if one.kind == "white shirt, plain stickers")
+    monkeypatch.setattr(session_module, "TRAINING_S", 4.0)  # that it is never learned shows from the first frames
     unlearned = learn(3, 5, is_turned=False, departure=case.departure, must_learn=False)
     session = run(unlearned, case)
     found = verdict([session])
