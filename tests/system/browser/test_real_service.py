@@ -30,7 +30,7 @@ from tests.support.planning.dicom_plans import motion, photon_plan, setup, writt
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.waiting import PATIENCE_S, eventually
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.waiting]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.waiting, pytest.mark.verification]
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "tidegate"
 OPERATOR = "A. Therapist"
