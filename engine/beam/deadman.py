@@ -5,12 +5,15 @@ order permits and holds, however late these arrive. ``expires_ns`` and ``now_ns`
 
 No lock: each attribute is written in one step and read once, and whether the line is on is computed from all of them.
 So a hold never waits for another thread, and a permit that races with it cannot undo it.
+
+A permit that lapsed was not renewed in time, and the line went off without a decision: it stays off until it is held.
+So the next permit comes from a gate that has noticed, after a dwell.
 """
 
 from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_MS
-from engine.core.errors import BeamLineError
+from engine.core.errors import BeamLineError, LeaseLapsedError
 
 MAX_LEASE_NS = 250 * NS_PER_MS
 """Longest lease that is accepted."""
@@ -33,12 +36,13 @@ class DeadMan:
         self._held_at_ns: int | None = None
         self._last_sequence = -1
         self._is_latched = True
+        self._has_lapsed = False
 
     def rearm(self) -> None:
         """Accept permits again, with a new sequence; the line stays off because earlier permits are deleted first."""
         self._grant = None
         self._last_sequence = -1
-        self._is_latched = False
+        self._is_latched = self._has_lapsed = False
 
     def grant(self, grant: Grant, *, now_ns: int) -> None:
         """Store a permit.
@@ -47,10 +51,16 @@ class DeadMan:
         ------
         BeamLineError
             The permit is refused: latched, older than a hold or a permit, lapsed, or too long.
+        LeaseLapsedError
+            The permit before has lapsed, and no hold has followed.
         """
         refusal = self._refusal(grant, now_ns)
         if refusal is not None:
             raise BeamLineError(refusal)
+        before = self._grant
+        if self._has_lapsed or (before is not None and now_ns >= before.expires_ns):
+            msg = f"the permit before permit {grant.sequence} had lapsed in the line"
+            raise LeaseLapsedError(msg)
         self._last_sequence = grant.sequence
         self._grant = grant
 
@@ -60,11 +70,14 @@ class DeadMan:
             self._is_latched = True
         self._held_at_ns = at_ns
         self._grant = None
+        self._has_lapsed = False
 
     def is_on(self, now_ns: int) -> bool:
-        """Whether the line is on at ``now_ns``."""
+        """Whether the line is on at ``now_ns``; a lapse that is seen here cannot be undone by a permit under way."""
         grant = self._grant
-        return grant is not None and not self._is_latched and self._is_newer(grant) and now_ns < grant.expires_ns
+        if grant is not None and now_ns >= grant.expires_ns:
+            self._has_lapsed = True
+        return grant is not None and not self._has_lapsed and not self._is_latched and self._is_newer(grant)
 
     @property
     def held_at_ns(self) -> int | None:

@@ -11,8 +11,9 @@ TroubleListener: TypeAlias = Callable[[HoldReason, str], None]
 class BeamLine(Protocol):
     """A way to the accelerator's gating input; owned by the engine, held by the watchdog too.
 
-    ``permit`` is a lease that lapses by itself in the line: a lease that is not renewed ends in off. ``hold`` must be
-    callable from any thread, at any time, twice, before ``open`` and after ``close``, and must neither block nor raise.
+    ``permit`` is a lease that lapses by itself in the line: a lease that is not renewed ends in off, and permits are
+    refused (`LeaseLapsedError`) until the line was held, so that a dwell comes between. ``hold`` must be callable from
+    any thread, at any time, twice, before ``open`` and after ``close``, and must neither block nor raise.
 
     A hold wins every race with a permit: a lease granted before the newest hold is refused. A hold for a fault (see
     :attr:`HoldReason.is_fault`) latches: every permit is refused until ``rearm``, which only a person's arming calls.

@@ -3,7 +3,7 @@
 import contextlib
 
 from engine.beam.line import BeamLine, TroubleListener, ignore_trouble
-from engine.core.errors import BeamLineMismatchError
+from engine.core.errors import BeamLineMismatchError, LeaseLapsedError
 from engine.core.gate_state import HoldReason, Lease
 from engine.core.sentences import say
 
@@ -37,13 +37,13 @@ class PairedBeamLine:
             raise
 
     def permit(self, lease: Lease) -> None:
-        """Permit both; where either refuses, hold and latch both and raise its error."""
+        """Permit both; where either refuses, hold both and raise its error; latch them unless a lease had lapsed."""
         self._is_permitted = True
         try:
             self._first.permit(lease)
             self._second.permit(lease)
-        except BaseException:
-            self.hold(HoldReason.BEAM_LINE_FAILED)
+        except BaseException as error:
+            self.hold(HoldReason.FRAME_LATE if isinstance(error, LeaseLapsedError) else HoldReason.BEAM_LINE_FAILED)
             raise
 
     def hold(self, reason: HoldReason) -> None:

@@ -12,7 +12,7 @@ from engine.beam.line import BeamLine
 from engine.control.turn_reader import LineAnswer
 from engine.control.watchdog import Watchdog
 from engine.core.clock import Clock
-from engine.core.errors import BeamLineMismatchError
+from engine.core.errors import BeamLineMismatchError, LeaseLapsedError
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.core.replacing import replace
@@ -132,6 +132,8 @@ class BeamDriver:
         answer = self._line.permit(lease)
         if answer.error is None and (answer.is_on or answer.is_settling):
             return _report(answer, is_settling=not answer.is_on)
+        if isinstance(answer.error, LeaseLapsedError):  # it lapsed while the order was on its way
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the lease before had lapsed in the line")))
         if not lease.is_live(answer.at_ns):
             return self._hold_for(
                 Interruption(HoldReason.FRAME_LATE, say("the lease lapsed before the line had answered"))

@@ -117,6 +117,10 @@ class BeamLineMismatchError(BeamLineError):
     code = "beam_line_mismatch"
 
 
+class LeaseLapsedError(BeamLineError):
+    """The permit before had lapsed in the line: it is on again after a hold only."""
+
+
 class CommandRefusedError(TidegateError):
     """The engine refuses the command in its present state; the message has the reason and the remedy."""
 

@@ -10,7 +10,7 @@ from tests.support.repository import ROOT
 from tests.support.service.accounts import provision
 from tests.support.service.processes import free_port, service_process
 
-pytestmark = [pytest.mark.slow, pytest.mark.waiting]
+pytestmark = [pytest.mark.slow, pytest.mark.waiting, pytest.mark.verification]
 
 ENVIRONMENT = ROOT / ".venv-client-generator" / "bin"
 CONTRACT = ROOT / "openapi" / "openapi.json"

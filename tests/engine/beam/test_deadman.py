@@ -1,15 +1,14 @@
 """The rule of every line: on is a function of the lease, the newest hold and the clock; a hold wins every race."""
 
-import threading
-
 import pytest
 from hypothesis import given, strategies as st
 
 from engine.beam.deadman import MAX_LEASE_NS, DeadMan, Grant
 from engine.beam.simulated import BeamEdge, SimulatedBeamLine
 from engine.core.clock import ManualClock, MonotonicClock
-from engine.core.errors import BeamLineError
+from engine.core.errors import BeamLineError, LeaseLapsedError
 from engine.core.gate_state import HoldReason, Lease
+from tests.support.beam.permit_rain import hold_in_the_rain
 
 MS = 1_000_000
 
@@ -56,8 +55,12 @@ def test_a_lease_lapses_by_itself_at_its_end_and_stays_lapsed():
         line.permit(_lease(1, 100, 180))
     with pytest.raises(BeamLineError, match="lapsed"):
         line.permit(_lease(2, 150, 180))
+    with pytest.raises(LeaseLapsedError):
+        line.permit(_lease(3, 180, 260))
     assert not line.is_on()
-    line.permit(_lease(3, 180, 260))
+    line.hold(HoldReason.FRAME_LATE)
+    clock.advance_ns(MS)
+    line.permit(_lease(4, 181, 261))
     assert line.is_on()
 
 
@@ -157,8 +160,10 @@ def test_the_log_shows_every_edge_with_its_time_and_lapses_without_a_reason():
         BeamEdge(at_ns=243 * MS, is_on=False),
     ]
     assert list(line.edges) == expected
-    line.permit(_lease(4, 663, 700))
-    assert list(line.edges) == [*expected, BeamEdge(at_ns=663 * MS, is_on=True)]
+    line.hold(HoldReason.FRAME_LATE)
+    clock.advance_ns(MS)
+    line.permit(_lease(4, 664, 700))
+    assert list(line.edges) == [*expected, BeamEdge(at_ns=664 * MS, is_on=True)]
 
 
 class _InterruptedDeadMan(DeadMan):
@@ -186,6 +191,17 @@ def test_a_hold_that_comes_while_a_permit_is_taken_wins(is_latching, at_ns):
     assert not deadman.is_on(120)
 
 
+def test_a_permit_asked_for_before_the_lapse_and_taken_after_it_changes_nothing():
+    """Its thread was stopped after it had read its clock, and the line has gone off meanwhile."""
+    deadman = DeadMan()
+    deadman.rearm()
+    deadman.grant(Grant(decided_ns=100, expires_ns=200, sequence=1), now_ns=110)
+    assert not deadman.is_on(200)
+    with pytest.raises(LeaseLapsedError):
+        deadman.grant(Grant(decided_ns=190, expires_ns=290, sequence=2), now_ns=199)
+    assert not deadman.is_on(203)
+
+
 acts = st.one_of(
     st.tuples(st.just("permit"), st.integers(0, 40), st.integers(1, 120)),
     st.tuples(st.just("hold"), st.sampled_from(list(HoldReason)), st.just(0)),
@@ -201,7 +217,7 @@ def test_the_line_is_only_ever_on_within_a_lease_newer_than_every_hold(story):
         now_ns = clock.now_ns()
         if act == "permit":
             asked = Lease(sequence=sequence, granted_ns=now_ns - what * MS, expires_ns=now_ns + length_ms * MS)
-            is_good = not is_latched and asked.granted_ns > held_ns
+            is_good = not is_latched and asked.granted_ns > held_ns and (lease is None or lease.is_live(now_ns))
             try:
                 line.permit(asked)
                 assert is_good
@@ -225,28 +241,7 @@ def test_holding_from_many_threads_while_permits_rain_ends_off():
     line = SimulatedBeamLine(clock)
     line.open()
     line.rearm()
-    start = threading.Barrier(5)
-
-    def hold() -> None:
-        start.wait()
-        for _ in range(300):
-            line.hold(HoldReason.OUTSIDE_WINDOW)
-        line.hold(HoldReason.WATCHDOG)
-
-    threads = [threading.Thread(target=hold) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    start.wait()
-    sequence = 0
-    while any(thread.is_alive() for thread in threads) or sequence < 300:
-        sequence += 1
-        now_ns = clock.now_ns()
-        try:
-            line.permit(Lease(sequence=sequence, granted_ns=now_ns, expires_ns=now_ns + 80 * MS))
-        except BeamLineError:
-            continue
-    for thread in threads:
-        thread.join()
+    sequence = hold_in_the_rain(line, clock, threads=4)
     assert not line.is_on()
     now_ns = clock.now_ns()
     late = Lease(sequence=sequence + 1, granted_ns=now_ns, expires_ns=now_ns + 80 * MS)

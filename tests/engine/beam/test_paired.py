@@ -5,7 +5,7 @@ import pytest
 from engine.beam.paired import PairedBeamLine
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import ManualClock
-from engine.core.errors import BeamLineError, BeamLineMismatchError
+from engine.core.errors import BeamLineError, BeamLineMismatchError, LeaseLapsedError
 from engine.core.gate_state import HoldReason, Lease
 from tests.support.beam.stepped_line import MS, World
 
@@ -88,7 +88,11 @@ def test_a_pair_is_on_when_both_are_and_off_when_held_or_lapsed():
     held.permit()
     held.clock.advance_ns(80 * MS)
     assert not held.pair.is_on()
-    assert held.are_latched() == [False, False]
+    with pytest.raises(LeaseLapsedError):
+        held.permit()
+    assert held.are_latched() == [False, False], "a hold, and no fault"
+    held.permit()
+    assert held.pair.is_on()
 
 
 @pytest.mark.parametrize("which", [0, 1])

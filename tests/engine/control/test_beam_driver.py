@@ -42,6 +42,23 @@ def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itsel
         assert report.trouble == Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line")
 
 
+def test_an_order_that_reaches_the_line_after_the_lapse_holds_without_a_fault_and_never_turns_it_on():
+    """Checked in time; the thread was stopped before the line had the order, and the line has gone off meanwhile."""
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = SimulatedBeamLine(clock)
+    beam.open()
+    beam.rearm()
+    driver, permit = driver_of(beam, clock), beam.permit
+    driver.carry_out(gate, clock.now_ns())
+    clock.advance_ns(PERIOD_NS)
+    beam.permit = lambda lease: (clock.advance_ns(LEASE_NS - PERIOD_NS), permit(lease))
+    report = driver.carry_out(received(gate, clock.now_ns()), clock.now_ns())
+    assert not report.is_on
+    assert report.trouble == Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line")
+    assert [edge.is_on for edge in beam.edges] == [True, False]
+
+
 def test_after_a_hold_the_lease_of_before_states_nothing():
     gate = stream_in(GateState.BEAM_ON).gate
     clock = ManualClock(gate.last.received_ns)

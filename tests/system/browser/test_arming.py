@@ -11,7 +11,7 @@ from tests.support.browser.fake_service import SESSION, FakeService, arming, bre
 from tests.support.browser.stepped_page import STEP_MS, SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = [pytest.mark.long, pytest.mark.browser]
+pytestmark = [pytest.mark.long, pytest.mark.browser, pytest.mark.verification]
 
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 HELD = sample(hold_reason="operator_hold", hold_text="Held by an operator", operator_hold="C. Nurse")

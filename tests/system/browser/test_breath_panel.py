@@ -20,7 +20,7 @@ from tests.support.browser.fake_service import (
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NONE = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from tests.support.browser.fake_service import SESSION_ID, FakeService, sample
 from tests.support.browser.stepped_page import STEP_MS, SteppedPage
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 HELD = sample(hold_reason="operator_hold", hold_text="Held by an operator", operator_hold="C. Nurse")

@@ -10,7 +10,7 @@ from tests.support.browser.fake_coach import CODE, SCREEN, FakeConsole, guide
 from tests.support.browser.fake_service import SESSION_ID, person, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 SETTINGS = f"/api/v1/sessions/{SESSION_ID}/coaching"
 
 

@@ -8,7 +8,7 @@ from tests.support.browser.fake_service import SESSION, FakeService, alarm, samp
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 VIEW = "/?view=distance"
 SINCE = "2026-11-20T08:00:00Z"

@@ -13,7 +13,7 @@ from tests.support.browser.fake_service import DASHBOARD, FakeService, alarm, ov
 from tests.support.browser.legibility import STATES
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 ENGLISH, GERMAN = (json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in ("en", "de"))
 TRANSLATED = {text.strip() for key, text in ENGLISH.items() if text != GERMAN[key]} - {

@@ -22,6 +22,8 @@ from service.storage.database.engine import Database
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import PATIENCE_S, eventually
 
+pytestmark = pytest.mark.verification
+
 BREAK_GLASS, PASSWORD = "Night Shift", "for when it is down"
 START_S = 140.0
 # Not the service's own address: to a browser these are two sites, as a hospital's are.

@@ -9,7 +9,7 @@ from tests.support.browser.fake_service import FakeService, over, sample
 from tests.support.browser.stepped_page import STEP_MS, SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 FAULT = sample(gate="fault", is_armed=False, hold_reason="source_lost", hold_text="The camera is lost", hold_detail="")

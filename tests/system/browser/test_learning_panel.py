@@ -12,7 +12,7 @@ from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 from tests.support.motion.training_frames import Patient
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NONE = "\N{EN DASH}"
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed")

@@ -8,7 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.support.browser.fake_service import NOTHING_MEASURED, ROI_PX, FakeService, checks, motion_at, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NONE = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"

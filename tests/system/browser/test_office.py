@@ -19,7 +19,7 @@ from tests.support.service.accounts import PASSWORD, provision
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 ROOMS = ("sessions", "plans", "models", "qa", "audit", "people", "machine", "api")
 CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text())

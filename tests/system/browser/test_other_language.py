@@ -13,7 +13,7 @@ from tests.support.browser.fake_service import DASHBOARD
 from tests.support.browser.page_states import STATES, make_fake
 from tests.support.browser.served_tab import Door, opened_tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 ENGLISH = json.loads((DASHBOARD / "lang" / "en.json").read_text())
 CYRILLIC = {ord(letter): chr(0x0430 + number) for number, letter in enumerate("abcdefghijklmnopqrstuvwxyz")}

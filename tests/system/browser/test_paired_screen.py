@@ -15,7 +15,7 @@ from service.web.app import PATIENT
 from tests.support.service.guided_patient import HOLD, LEARNED
 from tests.support.stream.stream_server import Served, served
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NEWEST = over(patient_reference="P-0001")
 OLDER = over("interrupted", patient_reference="P-0002") | {"id": "66" * 16}

@@ -8,7 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.support.browser.accessibility import SIZES, axe_findings, findings, focus_findings
 from tests.support.browser.fake_coach import CODE, UNMEASURED, FakeCoach, SteppedScreen, guide
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 STALE_MS = 300
 
 

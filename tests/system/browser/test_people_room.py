@@ -12,7 +12,7 @@ from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from tests.support.browser.fake_service import DASHBOARD, ONE_TIME, SECRET, FakeService, api_key, person, user
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 ADMIN = person("Grace", Role.ADMIN)
 EVIL = "<img src=x onerror=window.owned=1>"

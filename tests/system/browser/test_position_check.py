@@ -9,7 +9,7 @@ from service.core.schemas.live_messages import LivePositionCheck
 from tests.support.browser.fake_service import PROPOSAL, SESSION, SESSION_ID, FakeService, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 SHIFTS, TURNS = ("lateral", "longitudinal", "vertical"), ("pitch", "roll", "yaw")
 
 

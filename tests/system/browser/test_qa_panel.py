@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 from tests.support.browser.fake_service import FakeService, qa_run, qa_status, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 def test_the_newest_run_of_each_kind_is_reported_in_words_with_its_report(fake: FakeService, tab: Tab):

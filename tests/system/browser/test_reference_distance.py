@@ -9,7 +9,7 @@ from service.core.schemas.live_messages import LiveReference
 from tests.support.browser.fake_service import PROPOSAL, SESSION, SESSION_ID, FakeService, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 def reference(**changes: Any) -> dict[str, Any]:

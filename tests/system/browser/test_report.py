@@ -11,7 +11,7 @@ from service.core.schemas.sessions import SessionRequest
 from tests.support.browser.fake_service import SESSION, SESSION_ID, FakeService, over, person, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 MODEL = "4d" * 16
 REPORT, HEADING, OFFER = "#report", "#report-heading", "#report-continue"

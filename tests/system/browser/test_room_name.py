@@ -6,7 +6,7 @@ from playwright.sync_api import expect
 from tests.support.browser.fake_service import FakeService
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 def test_the_header_names_the_room(fake: FakeService, tab: Tab):

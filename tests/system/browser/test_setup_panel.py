@@ -8,7 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.support.browser.fake_service import CALIBRATION, PLAN, RECORDING, FakeService, sample
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 def fill(page: Page) -> None:

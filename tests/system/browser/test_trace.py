@@ -10,7 +10,7 @@ from tests.support.browser.node import in_node
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 OTHER = "99" * 16
 FRAME = "#trace-frame"

@@ -9,7 +9,7 @@ from tests.support.browser.fake_service import NOTHING_MEASURED, SESSION_ID, Fak
 from tests.support.browser.stepped_page import PAUSED, SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NONE = "\N{EN DASH}"
 SHOWN = ("on", "duty", "elapsed", "state", "holds")

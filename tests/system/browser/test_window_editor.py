@@ -14,7 +14,7 @@ from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 from tests.support.gating.streams import motion_of
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 EXHALE = PROPOSAL | {"level": -1.0, "percent": 0.0}

@@ -8,7 +8,7 @@ from service.core.schemas.windows import Window
 from tests.support.browser.fake_service import FakeService
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from engine.beam.wire.line_supervisor import LineTimes
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import MonotonicClock
 from engine.core.errors import BeamLineError
-from engine.core.gate_state import HoldReason, Lease
-from tests.support.beam.stepped_line import MS, World
+from engine.core.gate_state import HoldReason
+from tests.support.beam.permit_rain import hold_in_the_rain
+from tests.support.beam.stepped_line import World
 
 BEGIN_MS, END_MS = 300, 1_300
 FOLLOW_MS = 200
@@ -89,28 +90,7 @@ def test_holding_from_many_threads_while_permits_rain_on_a_wired_line_ends_off()
             threading.Event().wait(0.005)
         else:
             break
-    start = threading.Barrier(4)
-
-    def hold():
-        start.wait()
-        for _ in range(200):
-            line.hold(HoldReason.OUTSIDE_WINDOW)
-        line.hold(HoldReason.WATCHDOG)
-
-    threads = [threading.Thread(target=hold) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    start.wait()
-    sequence = 0
-    while any(thread.is_alive() for thread in threads) or sequence < 300:
-        sequence += 1
-        now_ns = clock.now_ns()
-        try:
-            line.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 80 * MS, sequence=sequence))
-        except BeamLineError:
-            continue
-    for thread in threads:
-        thread.join()
+    hold_in_the_rain(line, clock, threads=3)
     threading.Event().wait(0.05)
     commands = len(wire.commands)
     assert wire.commands[-1] is False
