@@ -203,11 +203,11 @@ def test_a_command_that_is_sent_too_late_faults_and_the_line_is_held_at_once():
 
     def dawdle(lease):
         if lease.sequence == slow - (LEARNED + FRAMES_A_DWELL) + 1:
-            bench.clock.advance_ns(70 * MS)  # within the lease, and past the latency with the camera's own
+            bench.clock.advance_ns(40 * MS)  # within both leases, and past the latency with the camera's own
 
     bench.beam.before_permit = dawdle
     limits = bench.loop._limits
-    limits.current = replace(limits.current, camera_latency_ms=40.0)
+    limits.current = replace(limits.current, camera_latency_ms=70.0)
     records = bench.run().records()
     assert records[slow - 1].line_on
     assert seen_of(records[slow:]) == {(GateState.FAULT, HoldReason.LATENCY_HIGH, False)}
