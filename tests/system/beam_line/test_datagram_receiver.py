@@ -30,6 +30,7 @@ def test_a_permit_that_lay_in_a_stopped_process_is_refused(delay_ns, is_on):
     receiver = _armed_receiver()
     receiver.accept(_permit_packet(1, sent_ns=0), 500 * MS)
     receiver.accept(_permit_packet(2, sent_ns=33 * MS), 533 * MS)
+    receiver.accept(encode(Message(MessageKind.HOLD, at_ns=34 * MS, sent_ns=34 * MS)), 534 * MS)
     late_ns = 10_000 * MS
     receiver.accept(_permit_packet(3, sent_ns=late_ns - 500 * MS - delay_ns), late_ns)
     assert receiver.is_on(late_ns) is is_on
