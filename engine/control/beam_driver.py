@@ -20,6 +20,8 @@ from engine.core.sentences import say
 from engine.gating.gate import Gate, Interruption, lease_of
 from engine.gating.limits import GateLimits
 
+LAPSED = Interruption(HoldReason.FRAME_LATE, say("the lease before had lapsed in the line"))
+
 
 class LineOrders:
     """Orders one line.
@@ -127,13 +129,13 @@ class BeamDriver:
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the decision took longer than its lease")))
         if self._permitted is not None and not self._permitted.is_live(now_ns):
             # Decided in time, ordered too late: the line has gone off by itself, and may be on again after a dwell.
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the lease before had lapsed in the line")))
+            return self._hold_for(LAPSED)
         self._permitted = lease
         answer = self._line.permit(lease)
         if answer.error is None and (answer.is_on or answer.is_settling):
             return _report(answer, is_settling=not answer.is_on)
         if isinstance(answer.error, LeaseLapsedError):  # it lapsed while the order was on its way
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, say("the lease before had lapsed in the line")))
+            return self._hold_for(LAPSED)
         if not lease.is_live(answer.at_ns):
             return self._hold_for(
                 Interruption(HoldReason.FRAME_LATE, say("the lease lapsed before the line had answered"))

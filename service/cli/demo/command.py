@@ -199,15 +199,15 @@ def _service(folder: Path, port: int) -> Iterator[_Service]:
     command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
     log_path, address = folder / "service.log", f"http://127.0.0.1:{port}"
-    told: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, _frame: told.append(number))
+    early: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _frame: early.append(number))
     with log_path.open("wb") as log:
         process = subprocess.Popen(
             [*command, "--recordings", str(folder.resolve())], stdout=log, stderr=log, env=environment
         )
         try:
             signal.signal(signal.SIGTERM, _leave)  # from here on the service is ended with it
-            if told:
+            if early:
                 raise typer.Exit(ENDED)
             with TidegateClient(address, retries=0, timeout_s=30.0) as api:
                 yield _Service(address=address, api=api, process=process, log=log_path)

@@ -56,6 +56,7 @@ def test_where_no_marker_is_found_nothing_is_learned_and_the_row_says_why(monkey
     case = next(one for one in conditions() if one.kind == "white shirt, plain stickers")
     monkeypatch.setattr(session_module, "TRAINING_S", 4.0)  # that it is never learned shows from the first frames
     unlearned = learn(3, 5, is_turned=False, departure=case.departure, must_learn=False)
+    assert unlearned.refusal == "marker_lost", "not for want of time"
     session = run(unlearned, case)
     found = verdict([session])
     assert (found.measured_percent, found.largest_mm, found.on_s) == (0.0, 0.0, 0.0)
