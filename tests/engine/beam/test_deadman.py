@@ -200,6 +200,11 @@ def test_a_permit_asked_for_before_the_lapse_and_taken_after_it_changes_nothing(
     with pytest.raises(LeaseLapsedError):
         deadman.grant(Grant(decided_ns=190, expires_ns=290, sequence=2), now_ns=199)
     assert not deadman.is_on(203)
+    deadman.hold(at_ns=300, is_latching=False)
+    deadman.grant(Grant(decided_ns=301, expires_ns=400, sequence=3), now_ns=310)
+    with pytest.raises(LeaseLapsedError):  # nobody has read the line since it lapsed
+        deadman.grant(Grant(decided_ns=390, expires_ns=490, sequence=4), now_ns=400)
+    assert not deadman.is_on(401)
 
 
 acts = st.one_of(
