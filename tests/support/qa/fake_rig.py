@@ -5,8 +5,8 @@ from pathlib import Path
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import NS_PER_MS, MonotonicClock
-from engine.core.errors import BeamLineError, TidegateError
-from engine.core.gate_state import Lease
+from engine.core.errors import BeamLineError, LeaseLapsedError, TidegateError
+from engine.core.gate_state import HoldReason, Lease
 from engine.qa.results import QaKind, QaNeed
 from service.qa.guarded_line import GuardedLine
 from tests.support.qa.sample_runs import BASELINE, report
@@ -44,6 +44,9 @@ class FakeJob:
         now_ns = self.clock.now_ns()
         try:
             self.line.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + PULSE_MS * NS_PER_MS, sequence=sequence))
+        except LeaseLapsedError:  # this thread came late: the machine was busy
+            self.line.hold(HoldReason.FRAME_LATE)
+            return
         except BeamLineError:
             if not self.rig.is_stubborn:
                 raise
