@@ -30,6 +30,8 @@ WHOLE_MM = {
     "drift": (0.11, 0.08),
 }
 """Required of a recording measured whole: mean error of the cells, and with each cell's constant taken off."""
+REGION_MM, WORST_FRAME_MM = 0.04, 0.30
+"""Required of every recording measured whole: error of the whole region, and mean over the cells of its worst frame."""
 LIVE_MM = 0.06
 """Required of live measurement: mean error of the whole region."""
 STEREO = "active-stereo"
@@ -87,6 +89,12 @@ def _whole_marks(scored: list[ScoredRun]) -> list[Mark]:
             name = f"Recording measured whole, sensor {sensor}, {_NAMES[group]}"
             marks.append(_mark(f"{name} [mm]", bound, ran, lambda s: s.cells_mm, of=_offline))
             marks.append(_mark(f"{name}, constants out [mm]", left, ran, lambda s: s.constants_out_mm, of=_offline))
+        every = [one for one in scored if one.run.sensor == sensor and one.run.is_measured_whole]
+        name = f"Recording measured whole, sensor {sensor}, largest of all"
+        marks.append(_mark(f"{name}, whole region [mm]", REGION_MM, every, lambda s: s.whole_mm, np.max, of=_offline))
+        marks.append(
+            _mark(f"{name}, worst frame [mm]", WORST_FRAME_MM, every, lambda s: s.worst_frame_mm, np.max, of=_offline)
+        )
     return marks
 
 
