@@ -178,6 +178,12 @@ def _blind(camera: VirtualXtion, chance: random.Random) -> Receipt:
     return camera.dropout(1.0, rect=(left, top + height - rows, width, rows), is_same=True)
 
 
+def _slide(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Let one marker slide by 8 to 14 pixels in any direction."""
+    way, far_px = chance.uniform(0.0, 2.0 * math.pi), chance.uniform(8.0, 14.0)
+    return camera.slide(chance.randrange(4), round(far_px * math.cos(way)), round(far_px * math.sin(way)))
+
+
 def _shift(camera: VirtualXtion, chance: random.Random) -> Receipt:
     right_px, down_px = chance.choice([(12, 0), (-12, 0), (0, 12), (0, -12), (9, 9), (-15, 6)])
     return camera.shift(right_px, down_px)
@@ -204,6 +210,13 @@ def _camera(
 
 KINDS = (
     _camera("marker-covered", "a marker is covered", lambda camera, chance: camera.cover(chance.randrange(4)), HIDDEN),
+    _camera(
+        "marker-slides",
+        "a marker slides by 8 to 14 pixels",
+        _slide,
+        HIDDEN | reported("patient_shifted"),
+        MOVED_RECOVERS,
+    ),
     _camera(
         "hand-in-view",
         "a hand over the region",
@@ -250,6 +263,14 @@ KINDS = (
         "camera-sinks",
         "the camera sinks or rises slowly by more than 1.5 mm",
         slow(lambda camera, mm, mm_a_frame: camera.offset(mm, mm_a_frame=mm_a_frame), 2.5),
+        CAMERA,
+        MOVED_RECOVERS,
+        **AVERAGED,
+    ),
+    _kind(
+        "camera-warms",
+        "the camera reads slowly farther or nearer in proportion to the distance, by more than 2 mm a metre",
+        slow(lambda camera, mm, mm_a_frame: camera.warm(mm, mm_a_frame=mm_a_frame), 2.5),
         CAMERA,
         MOVED_RECOVERS,
         **AVERAGED,

@@ -33,10 +33,10 @@ enum Kind : int64_t {
     UNPLUG = 12,    // n0 = 1: told; n1 = 1: open streams go on when it is plugged in again; n2 = 1: another comes back
     HANG = 13,      // n0 calls (Call)
     FILL = 20,      // rectangle n0..n3, n4 depth in mm or -1, n5 RGB or -1
-    OFFSET = 21,    // rectangle n0..n3, x0 mm, x1 mm a frame until then (0: at once)
+    OFFSET = 21,    // rectangle n0..n3, x0 mm, x1 mm a frame until then (0: at once), n4 = 1: for each metre of depth
     DROPOUT = 22,   // rectangle n0..n3, x0 share of pixels that read nothing, n4 = 1: the same ones each frame
     NOISE = 23,     // rectangle n0..n3, n4..n5 mm at random
-    SHIFT = 24,     // n0, n1 px to the right and down
+    SHIFT = 24,     // rectangle n0..n3 of the new picture (0: all), n4, n5 px to the right and down
     SPEED = 25,     // x0 times as fast; n0 position to go to first, or -1
     TORN = 26,      // from row n0 on the picture of n1 frames before
     AVERAGED = 27,  // the mean of the last n0 pictures' depths, where each has one

@@ -357,6 +357,10 @@ class VirtualXtion:
         """Add to depth, within the sensor's steps; negative is towards the camera."""
         return self.tell(Kind.OFFSET, n=rect, x=(mm, mm_a_frame), streams=Streams.DEPTH, **when)
 
+    def warm(self, mm_a_metre: float, *, mm_a_frame: float = 0.0, **when: int) -> Receipt:
+        """Read in proportion to the distance too far, as a camera does that becomes warm."""
+        return self.tell(Kind.OFFSET, n=(*WHOLE, 1), x=(mm_a_metre, mm_a_frame), streams=Streams.DEPTH, **when)
+
     def lift(self, mm: float, *, mm_a_frame: float = 0.0, **when: int) -> Receipt:
         """Move the trunk, but neither couch nor floor; positive is towards the camera."""
         left, top, width, height = self.depth_rect(self.region_rect)
@@ -385,7 +389,13 @@ class VirtualXtion:
 
     def shift(self, right_px: int, down_px: int, **when: int) -> Receipt:
         """Move the picture, as a patient who slides on the couch."""
-        return self.tell(Kind.SHIFT, n=(right_px, down_px), **when)
+        return self.tell(Kind.SHIFT, n=(*WHOLE, right_px, down_px), **when)
+
+    def slide(self, marker: int, right_px: int, down_px: int, **when: int) -> Receipt:
+        """Move a marker on the skin, for the colour camera alone."""
+        left, top, width, height = self.marker_rect(marker)
+        both = (left + min(right_px, 0), top + min(down_px, 0), width + abs(right_px), height + abs(down_px))
+        return self.tell(Kind.SHIFT, n=(*both, right_px, down_px), streams=Streams.COLOR, **when)
 
     def tear(self, row: int, frames: int, **when: int) -> Receipt:
         """Show from a row on the pictures of so many frames before, as where a transfer mixes two buffers."""

@@ -111,15 +111,12 @@ template <class Do> void each(const Area& area, Do&& act) {
         for (int column = area.left; column < area.right; column++) act(row * W + column);
 }
 
-template <int CHANNELS, class T> void shift(std::vector<T>& picture, int64_t right, int64_t down) {
+template <int CHANNELS, class T> void shift(std::vector<T>& picture, const Area& area, int64_t right, int64_t down) {
     std::vector<T> before = picture;
-    for (int row = 0; row < H; row++) {
-        int64_t from_row = std::clamp<int64_t>(row - down, 0, H - 1);
-        for (int column = 0; column < W; column++) {
-            int64_t from = std::clamp<int64_t>(column - right, 0, W - 1);
-            std::memcpy(&picture[(row * W + column) * CHANNELS], &before[(from_row * W + from) * CHANNELS], CHANNELS * sizeof(T));
-        }
-    }
+    each(area, [&](int pixel) {
+        int64_t row = std::clamp<int64_t>(pixel / W - down, 0, H - 1), column = std::clamp<int64_t>(pixel % W - right, 0, W - 1);
+        std::memcpy(&picture[pixel * CHANNELS], &before[(row * W + column) * CHANNELS], CHANNELS * sizeof(T));
+    });
 }
 
 // Makes pictures in the camera's full size, not registered, not mirrored.
@@ -204,7 +201,9 @@ private:
         case OFFSET: {
             double mm = c.x[0];
             if (c.x[1] != 0.0) mm = std::copysign(std::min(std::fabs(mm), std::fabs(c.x[1]) * double(edit.age + 1)), mm);
-            each(area, [&](int pixel) { if (depth_[pixel]) depth_[pixel] = ring_.reading(depth_[pixel] + mm, random); });
+            each(area, [&](int pixel) {
+                if (depth_[pixel]) depth_[pixel] = ring_.reading(depth_[pixel] + (c.n[4] ? mm * depth_[pixel] / 1000.0 : mm), random);
+            });
             break;
         }
         case DROPOUT: {
@@ -216,7 +215,7 @@ private:
         case NOISE:
             each(area, [&](int pixel) { depth_[pixel] = uint16_t(c.n[4] + random.share() * double(c.n[5] - c.n[4])); });
             break;
-        case SHIFT: shift<1>(depth_, c.n[0], c.n[1]); break;
+        case SHIFT: shift<1>(depth_, area, c.n[4], c.n[5]); break;
         case TORN: std::copy_n(ring_.depth(before(recipe, c.n[1])) + c.n[0] * W, PIXELS - c.n[0] * W, &depth_[c.n[0] * W]); break;
         case AVERAGED: average(recipe, c.n[0]); break;
         default: break;
@@ -241,7 +240,7 @@ private:
                 std::memcpy(&color_[3 * pixel], &bits, 3);
             });
             break;
-        case SHIFT: shift<3>(color_, c.n[0], c.n[1]); break;
+        case SHIFT: shift<3>(color_, area, c.n[4], c.n[5]); break;
         case TORN: {
             const int64_t from = 3 * c.n[0] * W;
             std::copy_n(ring_.color(before(recipe, c.n[1])) + from, COLOR_BYTES - from, &color_[from]);
