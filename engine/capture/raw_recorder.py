@@ -12,9 +12,13 @@ import shutil
 import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from engine.capture.oni.writer import OniWriter
 from engine.core.frames import ColorImage, RgbdFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 FRAMES_KEPT = 30
 """Frames of one second, about 46 MB: a disk that pauses for longer is too slow."""
@@ -43,6 +47,8 @@ class RawRecorder(threading.Thread):
     ----------
     error
         Why the recording ended early; None otherwise.
+    serial
+        Asked for the camera's serial number before the file is finished.
     """
 
     def __init__(self, path: Path, *, min_free_bytes: float, frames_kept: int = FRAMES_KEPT) -> None:
@@ -52,6 +58,7 @@ class RawRecorder(threading.Thread):
         self._frames: queue.Queue[RgbdFrame | None] = queue.Queue(frames_kept)
         self._color: ColorImage | None = None
         self.error: str | None = None
+        self.serial: Callable[[], str] = str
 
     def offer(self, frame: RgbdFrame) -> str | None:
         """Queue a frame, from the engine thread; return why the recording has ended, if it has."""
@@ -105,6 +112,7 @@ class RawRecorder(threading.Thread):
                     self._see_to_the_disk(writer)
                 frame = self._frames.get()
         finally:
+            writer.serial = self.serial()
             writer.close()
 
     def _write(self, writer: OniWriter, frame: RgbdFrame) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from engine.capture import drivers
 from engine.capture.oni.reader import RecordingDescription, describe
-from engine.capture.oni.records import trim
+from engine.capture.oni.records import finish
 from engine.capture.source import LiveSource
 from engine.core.clock import Clock
 from engine.core.errors import FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
@@ -61,7 +61,7 @@ def record(
     camera = drivers.recording_source(source, clock=clock, record_to=part)
     try:
         try:
-            camera.open()
+            serial = camera.open().serial
             lost = _follow(camera, seconds, on_progress, is_stop_requested)
         finally:
             camera.close()  # finishes the file
@@ -69,7 +69,7 @@ def record(
         if lost is not None and description.depth.frames == 0:
             raise lost
         description.raise_damage()
-        trim(part)
+        finish(part, serial)
         part.replace(out)
     finally:
         part.unlink(missing_ok=True)

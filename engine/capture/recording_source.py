@@ -189,6 +189,7 @@ def _describe(reader: OniReader) -> SourceDescription:
         color_size=reader.color.size_px,
         fps=float(reader.depth.fps),
         is_live=False,
+        serial=reader.serial,
     )
 
 

@@ -122,6 +122,7 @@ def _print_table(description: RecordingDescription) -> None:
     console.print(table)
     console.print(
         f"\n{description.duration_s:.2f} s, {description.file_bytes / 1e6:.1f} MB, format {description.version}, "
+        f"{f'camera {description.serial}, ' if description.serial else ''}"
         f"{_verdict(description)}",
         highlight=False,
     )

@@ -147,7 +147,7 @@ class LocalEngine:
             tap=tape.tap,
             journal=plan.journal,
         )
-        tape.start(limits, measuring)
+        tape.start(limits, measuring, serial=lambda: loop.status.source.serial if loop.status.source else "")
         loop.start()
         return LoopEngine(loop, tape)
 

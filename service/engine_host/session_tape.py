@@ -5,6 +5,7 @@ say so.
 """
 
 import logging
+from collections.abc import Callable
 
 from engine.capture import RawRecorder
 from engine.gating import GateLimits
@@ -51,8 +52,8 @@ class SessionTape:
         self._writer: TapeWriter | None = None
         self._kept: dict[str, object] | None = None
 
-    def start(self, limits: GateLimits, measuring: PipelineSettings) -> None:
-        """Start writing tape and raw recording."""
+    def start(self, limits: GateLimits, measuring: PipelineSettings, *, serial: Callable[[], str] = str) -> None:
+        """Start writing tape and raw recording; ``serial`` is asked for the camera's serial number at the end."""
         plan, settings = self._plan, self._settings
         encoding = encoding_of(ModelStore(settings.data_dir / MODELS_FOLDER))
 
@@ -74,6 +75,7 @@ class SessionTape:
         self._writer = TapeWriter(self.tap, self._path, head, encoding, recording=plan.recording)
         self._writer.start()
         if self._raw is not None:
+            self._raw.serial = serial
             self._raw.start()
 
     def _frames(self) -> Frames:

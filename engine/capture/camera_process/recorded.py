@@ -30,6 +30,7 @@ class RecordedSource:
             color_size=described.color_size,
             fps=described.fps,
             part_path=self._path.with_name(f"{self._path.name}.writing"),
+            serial=described.serial,
         )
         self._color_us, self._number = None, 0
         return described

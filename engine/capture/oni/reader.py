@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self
 
 from engine.capture.oni import records
-from engine.capture.oni.records import FileHeader, Record, RecordType, read_file_header, walk_records
+from engine.capture.oni.records import FileHeader, Record, RecordType, read_camera, read_file_header, walk_records
 from engine.capture.oni.streams import CodedFrame, NodeTable, StreamDescription
 from engine.core.errors import RecordingError
 from engine.core.files import open_plain
@@ -84,7 +84,7 @@ class RecordingDescription:
     """Content of a recording, as far as it is readable.
 
     ``damage`` is what ends it, None if it is intact; ``impossible_times`` is why its times are no camera's, None if
-    they may be.
+    they may be; ``serial`` is its camera's serial number, empty where the file does not have it.
     """
 
     name: str
@@ -96,6 +96,7 @@ class RecordingDescription:
     is_checked: bool
     damage: str | None
     impossible_times: str | None
+    serial: str
 
     @property
     def mirrored(self) -> str | None:
@@ -197,6 +198,7 @@ class OniReader:
             raise RecordingError(msg) from error
         try:
             self.header = read_file_header(self._file)
+            self.serial = read_camera(self._file)
             self._nodes, self._depth = self._read_nodes()
         except (RecordingError, OSError) as error:
             self.close()
@@ -423,6 +425,7 @@ def describe(
             is_checked=is_checked,
             damage=damage,
             impossible_times="; ".join(impossible) or None,
+            serial=reader.serial,
         )
 
 

@@ -36,6 +36,11 @@ UNKNOWN_TIMESTAMP = 2**64 - 1
 
 DEPTH_NODE, COLOR_NODE = 1, 2
 CODEC_DEPTH, CODEC_JPEG, CODEC_NONE = "16zT", "JPEG", "NONE"
+CAMERA_MAGIC = b"TIDEGATE CAMERA\0"
+"""Ends a file whose camera is known: its serial number, the number of its bytes, and this, behind the end record, where
+no player reads: the runtime's own recorder leaves unused bytes there."""
+CAMERA_TAIL = struct.Struct(f"<H{len(CAMERA_MAGIC)}s")
+MAX_SERIAL_BYTES = 128
 MAX_FIELDS_BYTES = 1 << 20
 MAX_PAYLOAD_BYTES = 1 << 25
 _FOREIGN = (
@@ -108,6 +113,25 @@ def pack_integers(node: int, **values: int) -> bytes:
 def pack_general(node: int, **values: bytes) -> bytes:
     """Write properties of a node that have a layout of their own, in the order given."""
     return b"".join(pack_property(RecordType.GENERAL_PROPERTY, node, name, value) for name, value in values.items())
+
+
+def pack_camera(serial: str) -> bytes:
+    """Write which camera a recording is of, for the very end of its file; nothing for a camera without a number."""
+    number = serial.encode()
+    is_usable = serial.isprintable() and 0 < len(number) <= MAX_SERIAL_BYTES
+    return number + CAMERA_TAIL.pack(len(number), CAMERA_MAGIC) if is_usable else b""
+
+
+def read_camera(file: BinaryIO) -> str:
+    """Return the serial number of a recording's camera; empty where the file does not have it."""
+    size = os.fstat(file.fileno()).st_size
+    file.seek(max(size - CAMERA_TAIL.size - MAX_SERIAL_BYTES, 0))
+    end = file.read(CAMERA_TAIL.size + MAX_SERIAL_BYTES)
+    if len(end) < CAMERA_TAIL.size or not end.endswith(CAMERA_MAGIC):
+        return ""
+    length, _ = CAMERA_TAIL.unpack(end[-CAMERA_TAIL.size :])
+    serial = end[: -CAMERA_TAIL.size][-length:].decode(errors="replace") if length else ""
+    return serial if pack_camera(serial) == end[-CAMERA_TAIL.size - length :] else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,14 +253,16 @@ def count_records(path: Path, record_type: RecordType) -> int:
     return count
 
 
-def trim(path: Path) -> None:
-    """Truncate the file after the end record; the runtime's recorder leaves as many unused bytes there."""
+def finish(path: Path, serial: str) -> None:
+    """Truncate the file after the end record, where the runtime's recorder leaves unused bytes; name the camera."""
     with path.open("r+b") as file:
         header = read_file_header(file)
         at = FILE_HEADER.size
         for record in walk_records(file, header):
             at = record.payload_at + record.payload_bytes
         file.truncate(at + header.record_head.size)
+        file.seek(0, os.SEEK_END)
+        file.write(pack_camera(serial))
 
 
 def _read_record(file: BinaryIO, form: struct.Struct, at: int, end: int) -> Record:

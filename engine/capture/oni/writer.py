@@ -60,6 +60,8 @@ class OniWriter:
         Nominal rate [1/s]; timestamps carry the true one.
     part_path
         The name it has until it is whole.
+    serial
+        Serial number of the camera; may be set until the file is closed.
     """
 
     def __init__(
@@ -76,11 +78,13 @@ class OniWriter:
         color_codec: Literal["JPEG", "NONE"] = "JPEG",
         jpeg_quality: int = 92,
         part_path: Path | None = None,
+        serial: str = "",
     ) -> None:
         self._path = Path(path)
         self._part_path = part_path or self._path.with_name(f".{self._path.name}.part")
         self._jpeg_quality = jpeg_quality
         self._max_timestamp_us = 0
+        self.serial = serial
         self._depth = _Stream(
             node=DEPTH_NODE, node_type=NodeType.DEPTH, name="Depth", size_px=depth_size, codec=depth_codec
         )
@@ -207,7 +211,7 @@ class OniWriter:
         for stream in self._streams:
             self._file.write(records.pack_record(RecordType.NODE_REMOVED, stream.node, undo_at=stream.added_at))
         seek_tables_at = [self._write_seek_table(stream) for stream in self._streams]
-        self._file.write(records.pack_record(RecordType.END, 0))
+        self._file.write(records.pack_record(RecordType.END, 0) + records.pack_camera(self.serial))
         for stream, at in zip(self._streams, seek_tables_at, strict=True):
             self._file.seek(stream.added_at)
             self._file.write(self._node_added(stream, seek_table_at=at))

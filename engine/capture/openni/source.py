@@ -135,6 +135,7 @@ class OpenNiSource:
             stored = describe(self._path)
             stored.raise_damage()
             color = stored.color
+            self._serial = stored.serial
             self._is_mirrored = (stored.depth.is_mirrored, color is not None and color.is_mirrored)
         self._device = OpenNiDevice(
             self._uri if self._uri is not None else _first_uri(), is_file=self._path is not None
@@ -166,7 +167,7 @@ class OpenNiSource:
             color_size=(color.width, color.height),
             fps=float(depth.fps),
             is_live=self._path is None,
-            serial=device.serial() if self._path is None else "",
+            serial=device.serial() if self._path is None else self._serial,
         )
 
     def read(self, timeout_s: float) -> RgbdFrame:

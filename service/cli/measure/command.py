@@ -197,6 +197,8 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
         raise RecordingError(f"{task.recording.name}: its times are impossible: {stored.impossible_times}")
     if stored.mirrored is not None:
         say(f"{task.recording.name}: {stored.mirrored} stored mirrored, turned round; {MIRRORED_CALIBRATION}")
+    if cameras.serial and stored.serial and cameras.serial != stored.serial:
+        say(f"{task.recording.name}: of camera {stored.serial}, and the calibration is of {cameras.serial}")
     total = stored.depth_frames
     with frame_bar() as progress:
         shown = progress.add_task("training", total=total)

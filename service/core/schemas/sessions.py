@@ -410,7 +410,7 @@ class CameraView(Answer):
     """The camera that a session opened, compared with the calibration's serial number."""
 
     name: str
-    serial: str | None = Field(description="Serial number; null for a camera without one and for a recording")
+    serial: str | None = Field(description="Serial number; null for a camera without one, or a recording without it")
     code: Literal["camera_mismatch", "serial_unknown"] | None = Field(
         description="`camera_mismatch`: the calibration belongs to another camera, refused in clinical mode; "
         "`serial_unknown`: the calibration has no serial number; null if both match, or if there is nothing to compare"

@@ -2,7 +2,7 @@
 
 Another unit of the same make has another scale by per cents, and the region shifted, and nothing else shows it. In
 clinical mode another camera is refused, and one that cannot be compared; otherwise the session carries a warning. A
-recording does not contain the serial number of its camera, and the camera's own registration belongs to no unit.
+recording is compared where it has its camera's serial number; the camera's own registration belongs to no unit.
 Without a measured calibration the camera registers depth to colour.
 """
 
@@ -41,8 +41,16 @@ class SerialWarning:
 
 def serial_warning(calibration: Calibration, camera: SourceDescription) -> SerialWarning | None:
     """Compare a calibration with the camera that was opened; None where they match, or cannot be compared at all."""
-    if not camera.is_live or calibration.is_device_registration:
+    if calibration.is_device_registration or not (camera.is_live or (camera.serial and calibration.serial)):
         return None
+    if calibration.serial != camera.serial and not camera.is_live:
+        text = say(
+            "the calibration is of the camera with serial number {serial}, and this recording is of {present}: "
+            "take that camera's calibration",
+            serial=calibration.serial,
+            present=camera.serial,
+        )
+        return SerialWarning(code="camera_mismatch", text=text)
     if calibration.serial and calibration.serial != camera.serial:
         text = say(
             "the calibration is of the camera with serial number {serial}, and this one has {present}: "

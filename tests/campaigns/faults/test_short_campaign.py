@@ -13,16 +13,8 @@ from tests.support.repository import ROOT
 
 ALWAYS = frozenset(
     {
-        *(
-            "marker-covered",
-            "both-stall",
-            "color-stalls",
-            "clock-back",
-            "clock-stands",
-            "unplugged",
-            "native-read-hangs",
-        ),
-        *("sheet-thin", "body-settles", "camera-sinks", "part-blind"),
+        *("marker-covered", "both-stall", "color-stalls", "clock-back", "clock-stands", "unplugged"),
+        *("sheet-thin", "body-settles", "camera-sinks", "part-blind", "native-read-hangs"),
         *("engine-killed", "engine-stopped", "service-held", "beat-dies", "hearer-dies", "loop-blocked"),
         *("malformed-index-back", "killed", "stopped", "engine-dies", "engine-hangs", "watchdog-dies", "line-dies"),
         *("line-watch-dies", "writer-hangs", "interpreter-held", "disk-full", "database-locked", "receiver-frozen"),

@@ -5,6 +5,7 @@ from engine.capture.oni.codec import encode_16zt
 from engine.capture.oni.reader import OniReader
 from engine.capture.oni.writer import OniWriter
 from engine.capture.recorder import record
+from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
 from engine.core.errors import RecordingError, SourceLostError
 from tests.support.capture.oni_recordings import color_picture, depth_picture, write_recording
@@ -27,7 +28,7 @@ def ending_in_a_long_step(index):
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
     path = tmp_path_factory.mktemp("recorder") / "played.oni"
-    with OniWriter(path, depth_size=SIZE_PX, color_size=SIZE_PX, fps=10.0) as writer:
+    with OniWriter(path, depth_size=SIZE_PX, color_size=SIZE_PX, fps=10.0, serial="A1") as writer:
         for index in range(FRAMES):
             writer.write_depth(index * PERIOD_US, ending_in_a_long_step(index))
             writer.write_color(index * PERIOD_US + 9000, color_picture(index, SIZE_PX))
@@ -64,6 +65,16 @@ def test_the_recording_is_whole_and_nothing_else_is_left(recorded):
     assert (described.depth.frames, described.depth.missed_frames) == (FRAMES, 0)
     assert described.color.codec == "JPEG"
     assert sorted(file.name for file in path.parent.iterdir()) == ["played.oni", "recorded.oni"]
+
+
+def test_the_recording_says_of_which_camera_it_is(recorded):
+    path, described = recorded
+    assert described.serial == "A1"
+    source = OniFileSource(path, clock=MonotonicClock())
+    try:
+        assert source.open().serial == "A1"
+    finally:
+        source.close()
 
 
 def test_the_empty_half_the_runtime_leaves_is_cut_off(recorded):

@@ -19,6 +19,17 @@ LEAST_ARCMIN, LEAST_CONTRAST, LEAST_LUMINANCE_RATIO = 16.0, 4.5, 3.0
 LEAST_DIFFERENCE = 25.0
 """Colour difference (CIE 1976) of BEAM ON and FAULT; 2.3 is just noticed side by side."""
 
+COUNT_COLOR = """(rgb) => {
+  const canvas = document.querySelector('#trace');
+  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  let found = 0;
+  for (let i = 0; i < pixels.length; i += 4) {
+    const away = rgb.map((value, channel) => Math.abs(pixels[i + channel] - value));
+    if (Math.max(...away) < 30 && pixels[i + 3] > 200) found += 1;
+  }
+  return found;
+}"""
+
 STATES: dict[str, dict[str, Any]] = {
     "beam_on": sample(
         gate="beam_on", hold_reason=None, hold_text=None, hold_detail="", line_on=True, accelerator_beam="on"

@@ -51,6 +51,7 @@ def write_recording(
     lost_depth: frozenset[int] = frozenset(),
     depth_codec: str = "16zT",
     color_codec: str = "JPEG",
+    serial: str = "",
 ) -> Path:
     """Write ``frames`` pairs; the depth frames in ``lost_depth`` (by number, from 1) are missing."""
     with OniWriter(
@@ -60,6 +61,7 @@ def write_recording(
         fps=1e6 / period_us,
         depth_codec=depth_codec,
         color_codec=color_codec,
+        serial=serial,
     ) as writer:
         for index in range(frames):
             at_us = index * period_us

@@ -17,6 +17,7 @@ from tests.support.browser.fake_service import (
     sample,
     window,
 )
+from tests.support.browser.legibility import COUNT_COLOR
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
@@ -26,16 +27,6 @@ NONE = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 FIGURES = ("rate", "amplitude", "regularity", "baseline", "drift", "drift-rate")
 DRIFTED = sample(breath=BREATH | {"drift": 1.74})
-COUNT_COLOR = """(rgb) => {
-  const canvas = document.querySelector('#trace');
-  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-  let found = 0;
-  for (let i = 0; i < pixels.length; i += 4) {
-    const away = rgb.map((value, channel) => Math.abs(pixels[i + channel] - value));
-    if (Math.max(...away) < 30 && pixels[i + 3] > 200) found += 1;
-  }
-  return found;
-}"""
 BASELINE_RGB, EVENT_RGB, WINDOW_RGB = (201, 162, 255), (255, 157, 107), (232, 210, 122)
 
 

@@ -132,16 +132,19 @@ def test_stop_asks_once_more(fake: FakeService, tab: Tab):
     assert len(calls_to(fake, "stop")) == 1
 
 
-def test_escape_disarms_from_anywhere_even_while_typing(fake: FakeService, tab: Tab):
+@pytest.mark.parametrize(
+    ("key", "said", "called"), [("Escape", "Disarmed.", "disarm"), ("F8", "Held until released.", "hold")]
+)
+def test_a_key_takes_the_beam_from_anywhere_even_while_typing(fake: FakeService, tab: Tab, key, said, called):
     fake.mode, fake.sample = "samples", sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True)
     page = tab.open("beam_on")
-    page.keyboard.press("Escape")
-    expect(page.locator("#outcome")).to_have_text("Disarmed.")
+    page.keyboard.press(key)
+    expect(page.locator("#outcome")).to_have_text(said)
     page.click("#do-setup")
     page.focus("[name=patient_reference]")
-    page.keyboard.press("Escape")
-    expect(page.locator("#outcome")).to_have_text("Disarmed.")
-    assert calls_to(fake, "disarm") == [{}, {}]
+    page.keyboard.press(key)
+    expect(page.locator("#outcome")).to_have_text(said)
+    assert calls_to(fake, called) == [{}, {}]
 
 
 def test_a_key_hit_after_arming_does_not_press_the_button_again(fake: FakeService, tab: Tab):

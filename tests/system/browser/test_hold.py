@@ -37,18 +37,6 @@ def test_hold_is_one_click_without_a_question(fake: FakeService, tab: Tab):
     assert calls_to(fake, "hold") == [{}]
 
 
-def test_the_hold_key_works_from_anywhere_even_while_typing(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", BEAM_ON
-    page = tab.open("beam_on")
-    page.keyboard.press("F8")
-    expect(page.locator("#outcome")).to_have_text("Held until released.")
-    page.click("#do-setup")
-    page.focus("[name=patient_reference]")
-    page.keyboard.press("F8")
-    expect(page.locator("#outcome")).to_have_text("Held until released.")
-    assert calls_to(fake, "hold") == [{}, {}]
-
-
 def test_a_hold_that_fails_states_what_else_stops_the_beam(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", BEAM_ON
     fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})

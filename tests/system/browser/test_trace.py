@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.support.browser.fake_service import NOTHING_MEASURED, FakeService, motion_at, sample
+from tests.support.browser.legibility import COUNT_COLOR
 from tests.support.browser.node import in_node
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
@@ -14,16 +15,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 OTHER = "99" * 16
 FRAME = "#trace-frame"
-COUNT_COLOR = """(rgb) => {
-  const canvas = document.querySelector('#trace');
-  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-  let found = 0;
-  for (let i = 0; i < pixels.length; i += 4) {
-    const away = rgb.map((value, channel) => Math.abs(pixels[i + channel] - value));
-    if (Math.max(...away) < 30 && pixels[i + 3] > 200) found += 1;
-  }
-  return found;
-}"""
 LINE_RGB, THORAX_RGB, ABDOMEN_RGB = (143, 211, 255), (240, 183, 255), (185, 224, 122)
 
 # Draws a signal with a gap, or with a change of zero, in a chart of its own; returns the columns that hold its line,

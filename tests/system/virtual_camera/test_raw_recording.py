@@ -50,6 +50,7 @@ def test_its_raw_recording_is_one_that_everything_plays(lived):
     path = raw_path(data_dir_of(folder), held.session_id)
     described = describe(path)
     assert described.damage is None
+    assert described.serial == "VIRTUAL-1"
     assert described.depth.frames == held.detail["summary"]["frames"]
     ours, theirs = OniFileSource(path, clock=MonotonicClock()), OpenNiSource(path, clock=MonotonicClock())
     for source in (ours, theirs):

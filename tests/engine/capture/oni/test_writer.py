@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from engine.capture.oni.codec import encode_16zt
-from engine.capture.oni.reader import OniReader
+from engine.capture.oni.reader import OniReader, describe
+from engine.capture.oni.records import CAMERA_MAGIC
 from engine.capture.oni.writer import OniWriter
 from tests.support.capture.oni_recordings import depth_picture, write_recording
 
@@ -28,6 +29,21 @@ def test_the_recording_has_its_name_only_when_it_is_whole(tmp_path):
     writer.close()
     writer.close()
     assert [file.name for file in tmp_path.iterdir()] == ["a.oni"]
+
+
+@pytest.mark.parametrize(
+    ("serial", "found"), [("A1", "A1"), ("", ""), ("ü" * 64, "ü" * 64), ("x" * 129, ""), ("a\nb", "")]
+)
+def test_the_camera_is_in_the_file_where_it_has_a_usable_number(tmp_path, serial, found):
+    described = describe(write_recording(tmp_path / "a.oni", serial=serial))
+    assert (described.serial, described.damage) == (found, None)
+
+
+@pytest.mark.parametrize("tail", [b"", b"\x00\x00", b"a\nb\x03\x00", b"\xff\x01\x00", b"x" * 200 + b"\xff\xff"])
+def test_an_end_that_names_no_camera_is_none(tmp_path, tail):
+    path = write_recording(tmp_path / "a.oni")
+    path.write_bytes(path.read_bytes() + tail + CAMERA_MAGIC)
+    assert (describe(path).serial, describe(path).damage) == ("", None)
 
 
 def test_a_payload_coded_elsewhere_is_written_as_it_is(tmp_path):

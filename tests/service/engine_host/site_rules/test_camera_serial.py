@@ -46,6 +46,9 @@ class Camera:
         (make_calibration(), replace(CAMERA, serial=""), "serial_unknown"),
         (OURS, replace(CAMERA, serial="", is_live=False), None),
         (make_calibration(), replace(CAMERA, serial="", is_live=False), None),
+        (make_calibration(), replace(CAMERA, is_live=False), None),
+        (OURS, replace(CAMERA, is_live=False), None),
+        (OURS, replace(CAMERA, serial="B2", is_live=False), "camera_mismatch"),
         (NOMINAL, CAMERA, None),
     ],
 )
