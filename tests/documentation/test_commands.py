@@ -1,6 +1,7 @@
 """Every command in the documents exists, with the options that it is given there.
 
-They are not run: most need a machine as the guide describes it. What went wrong before is that none was accepted.
+README's session with curl is run (tests/system/service/test_readme_walk.py), and so are the sample clients; the others need
+a machine as their guide describes it.
 """
 
 import importlib.util

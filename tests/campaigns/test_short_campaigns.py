@@ -1,4 +1,5 @@
-"""The campaign's short form: what matters most, and a quarter of the other kinds, by the commit; each once."""
+"""The short form of both campaigns, each trial once: what matters most, a quarter of the other faults by the commit, and
+one kill each at the places that are worst."""
 
 import os
 import subprocess
@@ -8,6 +9,7 @@ import pytest
 from tests.campaigns.faults.campaign import Bench
 from tests.campaigns.faults.kinds import all_kinds, chosen
 from tests.campaigns.faults.template import learned_once
+from tests.campaigns.kills.campaign import Bench as KillBench
 from tests.support.build_cache import run_folder
 from tests.support.repository import ROOT
 
@@ -37,6 +39,7 @@ PART = _part()
 OTHERS = [kind for kind in all_kinds() if kind.code not in ALWAYS]
 KINDS = sorted(chosen([*ALWAYS, *(kind.code for kind in OTHERS[PART::PARTS])]), key=lambda kind: kind.plan.name)
 """Kinds that need the same service side by side: it is started once for them."""
+WORST = ("behind-edge", "stopping", "recovering", "session-starts")
 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root"),
@@ -47,14 +50,21 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("faults")
-    held = Bench(folder, learned_once(run_folder(tmp_path_factory) / "learned"))
+def benches(tmp_path_factory):
+    learned = learned_once(run_folder(tmp_path_factory) / "learned")
+    held = [made(tmp_path_factory.mktemp("campaign"), learned) for made in (Bench, KillBench)]
     yield held
-    held.clear()
+    for one in held:
+        one.clear()
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=[kind.code for kind in KINDS])
-def test_the_line_is_off_in_time_the_audit_states_why_and_the_beam_comes_back_as_promised(bench, kind):
-    outcome = bench.try_kind(kind, seed=0)
+def test_the_line_is_off_in_time_the_audit_states_why_and_the_beam_comes_back_as_promised(benches, kind):
+    outcome = benches[0].try_kind(kind, seed=0)
     assert not outcome.is_red, f"{', '.join(outcome.troubles)} after {outcome.off_ms} ms: {outcome.note}"
+
+
+@pytest.mark.parametrize(("number", "code"), list(enumerate(WORST)))
+def test_a_kill_loses_no_transition_and_the_next_start_puts_everything_in_order(benches, number, code):
+    outcome = benches[1].kill(number, 0, code)
+    assert not outcome.is_red, f"{', '.join(outcome.troubles)}: {outcome.note}"
