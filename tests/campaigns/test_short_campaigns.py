@@ -1,5 +1,4 @@
-"""The short form of both campaigns, each trial once: what matters most, a quarter of the other faults by the commit, and
-one kill each at the places that are worst."""
+"""Both campaigns, short: what matters most, a quarter of the other faults by the commit, the worst kills; each once."""
 
 import os
 import subprocess

@@ -1,7 +1,7 @@
 """Every command in the documents exists, with the options that it is given there.
 
-README's session with curl is run (tests/system/service/test_readme_walk.py), and so are the sample clients; the others need
-a machine as their guide describes it.
+README's session with curl is run in tests/system/service/test_readme_walk.py, and the sample clients are; the others
+need a machine as their guide describes it.
 """
 
 import importlib.util

@@ -51,17 +51,8 @@ CLEARS_BY_ITSELF = [
 ]
 """Written twice on purpose: a reason that is no fault any more is a decision, not a slip in its row."""
 NO_INTERLOCKS = [
-    "disarmed",
-    "outside_window",
-    "dwell",
-    "phase_unknown",
-    "range_unknown",
-    "breath_hold_awaited",
-    "breath_hold_settling",
-    "breath_hold_drifted",
-    "breath_hold_over",
-    "shortest_off",
-    "cycle_limit",
+    *("disarmed", "outside_window", "dwell", "phase_unknown", "range_unknown", "breath_hold_awaited"),
+    *("breath_hold_settling", "breath_hold_drifted", "breath_hold_over", "shortest_off", "cycle_limit"),
 ]
 
 

@@ -17,20 +17,11 @@ pytestmark = [pytest.mark.waiting, pytest.mark.verification]
 def test_the_walk_of_the_readme_gates_a_session_and_ends(tmp_path):
     walk = re.search(r"## A first session with curl\n.*?```\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
     port = free_port()
-    environment = {
-        **os.environ,
-        "PATH": f"{ROOT / '.venv' / 'bin'}:{os.environ['PATH']}",
-        "TIDEGATE_DATA_DIR": str(tmp_path / "data"),
-        "TIDEGATE_PORT": str(port),
-    }
+    path = f"{ROOT / '.venv' / 'bin'}:{os.environ['PATH']}"
+    environment = {"PATH": path, "TIDEGATE_DATA_DIR": str(tmp_path / "data"), "TIDEGATE_PORT": str(port)}
+    command = ["bash", "-c", f"set -m\n{walk.replace('127.0.0.1:8000', f'127.0.0.1:{port}')}\nwait"]
     ran = subprocess.run(
-        ["bash", "-c", "set -m\n" + walk.replace("127.0.0.1:8000", f"127.0.0.1:{port}") + "\nwait"],
-        cwd=tmp_path,
-        env=environment,
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=300,
+        command, cwd=tmp_path, env=os.environ | environment, check=False, capture_output=True, text=True, timeout=300
     )
     said = f"{ran.stdout}\n{ran.stderr}"
     assert '"gate":"beam_on"' in ran.stdout, said
