@@ -39,6 +39,11 @@ def test_it_is_not_known_in_the_first_second_and_a_half_and_after_gaps_goes_on()
     assert not math.isnan(noise.noise_mm)
 
 
+def test_the_first_frames_count_alike():
+    noise = shown(shown(PresentNoise(SIDE_PX), 0.1, 24), 0.3, LEAST_FRAMES - 22, start=24)
+    assert noise.noise_mm == pytest.approx(SIDE_PX * math.sqrt(0.5 * (0.1**2 + 0.3**2)), rel=0.1)
+
+
 def test_the_smaller_of_the_training_s_and_the_present_one_counts():
     noise = shown(PresentNoise(SIDE_PX), 0.17)
     assert noise.counting(22.5) == noise.noise_mm
