@@ -56,11 +56,11 @@ def _replay(target: Target, path: Path) -> int:
 def _minimise(targets: Sequence[Target], work: Path) -> None:
     for target in targets:
         grown = work / "grown" / target.name
-        kept = list(target.corpus.iterdir()) if target.corpus.is_dir() else []
-        paths = [*kept, *(grown.iterdir() if grown.is_dir() else ())]
-        inputs = [*target.seeds(), *(path.read_bytes() for path in paths)]
-        size = keep(target, inputs, [path for path in kept if path.name.startswith(CRASHERS)])
-        print(f"{target.name}: {len(inputs)} inputs to {len(list(target.corpus.iterdir()))}, {size} bytes")  # noqa: T201
+        kept = target.kept()
+        inputs = [*target.seeds(), *kept.values(), *(path.read_bytes() for path in grown.glob("*"))]
+        chosen = keep(target, inputs, {name: kept[name] for name in kept if name.startswith(CRASHERS)})
+        size = sum(map(len, chosen.values()))
+        print(f"{target.name}: {len(inputs)} inputs to {len(chosen)}, {size} bytes")  # noqa: T201
 
 
 def _fuzz(targets: Sequence[Target], seconds: int, work: Path, *, is_recorded: bool, until: Path | None) -> int:

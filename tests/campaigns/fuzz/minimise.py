@@ -5,9 +5,8 @@ Ways are pairs of lines of our own code that follow each other; the same on ever
 
 import hashlib
 import sys
-from collections.abc import Iterable, Iterator
-from pathlib import Path
-from types import FrameType
+from collections.abc import Iterable, Iterator, Mapping
+from types import FrameType, MappingProxyType
 from typing import Any
 
 from tests.campaigns.fuzz.target import Target
@@ -56,14 +55,10 @@ def name_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def keep(target: Target, inputs: Iterable[bytes], always: Iterable[Path] = ()) -> int:
-    """Write the minimised corpus in the place of the one that is there; those in ``always`` stay. Returns its bytes."""
-    stay = {path.name for path in always}
-    target.corpus.mkdir(parents=True, exist_ok=True)
-    chosen = list(minimised(target, inputs))
-    for path in target.corpus.iterdir():
-        if path.name not in stay:
-            path.unlink()
-    for content in chosen:
-        (target.corpus / name_of(content)).write_bytes(content)
-    return sum(path.stat().st_size for path in target.corpus.iterdir())
+def keep(
+    target: Target, inputs: Iterable[bytes], always: Mapping[str, bytes] = MappingProxyType({})
+) -> dict[str, bytes]:
+    """Keep the minimised corpus in place of the one that is there, and those in ``always``; return what is kept."""
+    chosen = {**always, **{name_of(content): content for content in minimised(target, inputs)}}
+    target.keep(chosen)
+    return chosen

@@ -9,9 +9,12 @@ MEMORY_MB = 1024
 
 
 def options_of(target: Target, *, work: Path, seconds: int, inputs: int = 0, seed: int) -> list[str]:
-    """Options and folders: the corpus grows in ``work``, the kept one is only read; findings come beside it."""
-    grown = work / "grown" / target.name
-    grown.mkdir(parents=True, exist_ok=True)
+    """Options and folders: the corpus grows in ``work``, where the kept one is unpacked; findings come beside it."""
+    grown, kept = work / "grown" / target.name, work / "kept" / target.name
+    for folder in (grown, kept):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, content in target.kept().items():
+        (kept / name).write_bytes(content)
     findings_of(target, work).mkdir(parents=True, exist_ok=True)
     words = dictionary(target, work)
     return [
@@ -25,7 +28,7 @@ def options_of(target: Target, *, work: Path, seconds: int, inputs: int = 0, see
         *([f"-seed={seed}"] if seed else []),
         *([f"-dict={words}"] if words else []),
         str(grown),
-        *([str(target.corpus)] if target.corpus.is_dir() else []),
+        str(kept),
     ]
 
 

@@ -49,5 +49,4 @@ def _row(name: str, kept: Mapping[str, Any]) -> str:
 
 
 def _inputs(name: str) -> int:
-    corpus = TARGETS[name].corpus
-    return len(list(corpus.iterdir())) if corpus.is_dir() else 0
+    return len(TARGETS[name].kept())

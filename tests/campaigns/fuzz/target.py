@@ -1,7 +1,8 @@
 """What one target is: a reader, what it may refuse with, and where its inputs come from."""
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -40,8 +41,23 @@ class Target:
     words: tuple[str, ...] = ()
 
     @property
-    def corpus(self) -> Path:
-        return CORPUS / self.name
+    def archive(self) -> Path:
+        """The file with the inputs that are kept."""
+        return CORPUS / f"{self.name}.zip"
+
+    def kept(self) -> dict[str, bytes]:
+        """Return the inputs that are kept, by name."""
+        if not self.archive.is_file():
+            return {}
+        with zipfile.ZipFile(self.archive) as archive:
+            return {name: archive.read(name) for name in sorted(archive.namelist())}
+
+    def keep(self, inputs: Mapping[str, bytes]) -> None:
+        """Keep these inputs and no others; the same ones give the same file."""
+        self.archive.parent.mkdir(parents=True, exist_ok=True)
+        with zipfile.ZipFile(self.archive, "w") as archive:
+            for name in sorted(inputs):
+                archive.writestr(zipfile.ZipInfo(name), inputs[name], zipfile.ZIP_DEFLATED)
 
     def try_one(self, content: bytes) -> bool:
         """Read one input; tell whether it was read, rather than refused as documented."""
