@@ -7,15 +7,8 @@ from tests.support.client.scripted_server import KEY, cuts, refuses, says, write
 
 SESSION = "0" * 32
 NEVER_TWICE = (
-    "start",
-    "set_reference",
-    "sign_position",
-    "countersign",
-    "arm",
-    "release",
-    "acknowledge",
-    "retrain",
-    "apply_model",
+    *("start", "set_reference", "sign_position", "countersign", "arm"),
+    *("release", "acknowledge", "retrain", "apply_model"),
 )
 NEEDED = {"sign_position": {"reference_number": 1}, "countersign": {"state": "5e" * 16}}
 TAKES_AWAY = ("hold", "disarm")
