@@ -329,24 +329,9 @@ def _with_surface(view: LiveView) -> LiveView:
 
 NEEDS_A_SESSION = frozenset(
     {
-        "set_reference",
-        "sign_position",
-        "countersign",
-        "acknowledge_fault",
-        "hold_beam",
-        "release_beam",
-        "note_presence",
-        "correct_baseline",
-        "set_window",
-        "read_arming",
-        "export_samples",
-        "read_picture",
-        "read_mesh",
-        "retrain_model",
-        "apply_model",
-        "activate_model",
-        "list_transitions",
-        "read_coaching",
-        "set_coaching",
+        *("set_reference", "sign_position", "countersign", "acknowledge_fault", "hold_beam"),
+        *("release_beam", "note_presence", "correct_baseline", "set_window", "read_arming"),
+        *("export_samples", "read_picture", "read_mesh", "retrain_model", "apply_model"),
+        *("activate_model", "list_transitions", "read_coaching", "set_coaching"),
     }
 )

@@ -12,25 +12,10 @@ MINUTE_NS = 60_000 * MS
 
 LATCHING = frozenset(
     {
-        "frame_stale",
-        "frame_timeout",
-        "clock_backwards",
-        "clock_jumped",
-        "latency_high",
-        "value_invalid",
-        "source_lost",
-        "beam_line_failed",
-        "beam_line_mismatch",
-        "beam_without_permit",
-        "audit_behind",
-        "recorder_behind",
-        "disk_low",
-        "service_silent",
-        "watchdog",
-        "engine_failed",
-        "source_ended",
-        "engine_stopped",
-        "unknown",
+        *("frame_stale", "frame_timeout", "clock_backwards", "clock_jumped", "latency_high"),
+        *("value_invalid", "source_lost", "beam_line_failed", "beam_line_mismatch", "beam_without_permit"),
+        *("audit_behind", "recorder_behind", "disk_low", "service_silent", "watchdog"),
+        *("engine_failed", "source_ended", "engine_stopped", "unknown"),
     }
 )
 """What latches until a person acknowledges it, by its word; every other word clears by itself."""

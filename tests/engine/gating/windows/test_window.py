@@ -167,16 +167,8 @@ def test_every_limit_is_refused_just_out_of_its_bounds_and_as_nan(name):
 
 def test_every_number_among_the_limits_has_a_bound():
     assert {field.name for field in fields(GateLimits)} - {
-        "window",
-        "is_played",
-        "is_calibrated",
-        "warm_up_s",
-        "cold_share",
-        "breath_depths",
-        "head_direction",
-        "holding_events",
-        "needs_all_checks",
-        "needs_countersignature",
+        *("window", "is_played", "is_calibrated", "warm_up_s", "cold_share", "breath_depths"),
+        *("head_direction", "holding_events", "needs_all_checks", "needs_countersignature"),
     } == set(LIMIT_BOUNDS)
 
 

@@ -39,6 +39,12 @@ def test_it_is_not_known_in_the_first_second_and_a_half_and_after_gaps_goes_on()
     assert not math.isnan(noise.noise_mm)
 
 
+@pytest.mark.parametrize(("trained_mm", "frames", "is_known"), [(5.0, 47, True), (5.0, 46, False), (0.0, 47, False)])
+def test_a_share_is_known_where_both_noises_are(trained_mm, frames, is_known):
+    noise = shown(PresentNoise(SIDE_PX), 0.17, frames)
+    assert math.isfinite(noise.share_soon(trained_mm)) is math.isfinite(noise.share_of(trained_mm)) is is_known
+
+
 def test_the_first_frames_count_alike():
     noise = shown(shown(PresentNoise(SIDE_PX), 0.1, 24), 0.3, LEAST_FRAMES - 22, start=24)
     assert noise.noise_mm == pytest.approx(SIDE_PX * math.sqrt(0.5 * (0.1**2 + 0.3**2)), rel=0.1)
