@@ -273,3 +273,10 @@ def test_a_part_that_never_changes_tells_nothing_and_one_that_hardly_does_is_not
         picture[:120, :160] = 900
         picture[120:, :160] = 2000 + 30 * calm[index, :120]
     assert {*reasons(replace(frame(index), depth_mm=one) for index, one in enumerate(pictures))} == {None}
+
+
+def test_a_part_that_brings_no_new_picture_every_fourth_time_tells_nothing():
+    pictures = noisy(100)
+    for index in range(4, 100, 4):
+        pictures[index][PARTS["a tile"]] = pictures[index - 1][PARTS["a tile"]]
+    assert {*reasons(replace(frame(index), depth_mm=one) for index, one in enumerate(pictures))} == {None}

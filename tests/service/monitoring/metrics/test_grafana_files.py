@@ -20,18 +20,8 @@ SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)\s*\{([^}]*)\}")
 MATCHER = re.compile(r'([a-zA-Z_]+)\s*(?:=~|!~|!=|=)\s*"([^"]*)"')
 LANGUAGE = frozenset(
     [
-        "histogram_quantile",
-        "sum",
-        "rate",
-        "increase",
-        "avg_over_time",
-        "by",
-        "le",
-        "topk",
-        "sort_desc",
-        "time",
-        "on",
-        "and",
+        *("histogram_quantile", "sum", "rate", "increase", "avg_over_time", "by"),
+        *("le", "topk", "sort_desc", "time", "on", "and"),
     ]
 )
 OF_THE_SCRAPE = frozenset({"instance", "job", "room", "up"})
