@@ -96,27 +96,27 @@ processors: $(STAMP)  ## the numeric tests under other processor features (x86):
 
 bench: $(STAMP)  ## how fast it is, against the marks, then two minutes of load; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
-	$(BIN)/python -m tests.campaigns.load --seconds $(if $(QUICK),30,120) $(if $(OUT),--out $(OUT)/load.json)
+	$(BIN)/python -m verification.load --seconds $(if $(QUICK),30,120) $(if $(OUT),--out $(OUT)/load.json)
 load: $(STAMP)  ## 200 dashboards, 50 requests a second and an export beside a session; MINUTES=60 for an hour, DASHBOARDS=n
-	$(BIN)/python -m tests.campaigns.load --minutes $(or $(MINUTES),2) --dashboards $(or $(DASHBOARDS),200) --out $(or $(OUT),build/load)/load.json
+	$(BIN)/python -m verification.load --minutes $(or $(MINUTES),2) --dashboards $(or $(DASHBOARDS),200) --out $(or $(OUT),build/load)/load.json
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
-	$(BIN)/python -m tests.campaigns.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
+	$(BIN)/python -m verification.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 kills: $(STAMP) test-system  ## kill -9 the running service at 200 random moments of its life, and look at what it left; goes on where it was stopped
-	$(BIN)/python -m tests.campaigns.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(DATABASE),--database $(DATABASE)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
+	$(BIN)/python -m verification.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(DATABASE),--database $(DATABASE)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 mutants: $(STAMP)  ## change all that decides in every small way: a test must fail; an interrupted run continues
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)
-	$(BIN)/python -m tests.campaigns.mutants.summary --write
+	$(BIN)/python -m verification.mutants.summary --write
 fuzz: $(STAMP)  ## feed every reader of strangers' bytes what it does not expect: MINUTES=60 in all, TARGET=oni only that one
-	nice -n 19 $(BIN)/python -m tests.campaigns.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
+	nice -n 19 $(BIN)/python -m verification.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
 sanitize: $(STAMP)  ## the compiled frame path's tests under the address and undefined-behaviour sanitizers (gcc)
 	$(BIN)/python -m tests.support.sanitized
 sbom: $(STAMP)  ## write what Tidegate is made of to docker/sbom.cdx.json (CycloneDX), held against the specification
-	$(BIN)/python -m tests.campaigns.supply.sbom
+	$(BIN)/python -m verification.supply.sbom
 scan: $(STAMP)  ## bandit, ruff's security rules, known vulnerabilities of what is locked, licences
-	$(BIN)/python -m tests.campaigns.supply.scan
+	$(BIN)/python -m verification.supply.scan
 
 planted: $(STAMP)  ## break each mechanism of docs/2-clinical/safety.md once: the test that it names must fail
-	nice -n 10 $(BIN)/python -m tests.campaigns.planted.planted
+	nice -n 10 $(BIN)/python -m verification.planted.planted
 documents: $(STAMP)  ## write every part of the documents, of the client and of openapi/ that the code makes
 	@$(BIN)/tidegate openapi --out openapi
 	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
@@ -139,13 +139,13 @@ contracts: $(STAMP)  ## import-linter: who may import whom
 
 docker-test: $(STAMP)  ## as root: build the image, run a whole session in it, kill, upgrade, roll back, restore; BASE=, CA_BUNDLE=, IMAGE= (test one that is there)
 	@docker/install-debian-packages.sh buildah iproute2 util-linux libopenni2-0
-	$(BIN)/python -m tests.campaigns.image $(if $(IMAGE),--image $(IMAGE)) $(if $(BASE),--base $(BASE)) $(if $(CA_BUNDLE),--ca-bundle $(CA_BUNDLE)) $(if $(OUT),--out $(OUT))
+	$(BIN)/python -m verification.image $(if $(IMAGE),--image $(IMAGE)) $(if $(BASE),--base $(BASE)) $(if $(CA_BUNDLE),--ca-bundle $(CA_BUNDLE)) $(if $(OUT),--out $(OUT))
 
 release: $(STAMP)  ## refuse what is not ready; else wheel, source archive, bill of materials and sums in dist/
-	$(BIN)/python -m tests.campaigns.release
+	$(BIN)/python -m verification.release
 bundle: $(STAMP)  ## KEY=FILE signs: one archive to install without a network; IMAGE=FILE brings an image archive along, TRY=1 installs it (root)
 	@[ "$(KEY)" ] || { echo "KEY=FILE: the private SSH key that signs the bundle"; exit 1; }
-	$(BIN)/python -m tests.campaigns.bundle --key $(KEY) $(if $(IMAGE),--image $(IMAGE)) $(if $(OUT),--out $(OUT)) $(if $(TRY),--try)
+	$(BIN)/python -m verification.bundle --key $(KEY) $(if $(IMAGE),--image $(IMAGE)) $(if $(OUT),--out $(OUT)) $(if $(TRY),--try)
 
 PIP_COMPILE := $(BIN)/pip-compile -q --upgrade --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header
 lock: $(STAMP)  ## resolve the newest versions into the lock files

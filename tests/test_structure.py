@@ -11,24 +11,26 @@ from tests.support.repository import ROOT
 from tests.support.selection import PARTS, SLOW_FOLDERS, module_marks
 
 TESTS = ROOT / "tests"
-MODULES = sorted(path for path in TESTS.rglob("*.py") if "data" not in path.relative_to(TESTS).parts)
-TEST_MODULE = re.compile(r"^tests(\.\w+)*\.(test_\w+|conftest)$")
+MODULES = sorted(
+    path for folder in (TESTS, ROOT / "verification") for path in folder.rglob("*.py") if "data" not in path.parts
+)
+TEST_MODULE = re.compile(r"^(?:tests|verification)(\.\w+)*\.(test_\w+|conftest)$")
 PRODUCT = sorted(path for name in ("engine", "service") for path in (ROOT / name).rglob("*.py"))
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 BUDGETS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["tidegate"]
-NAMED_PATH = re.compile(r"(?<![\w./-])tests/[\w/]+(?:\.\w+)?")
+NAMED_PATH = re.compile(r"(?<![\w./-])(?:tests|verification)/[\w/]+(?:\.\w+)?")
 
 
 SLEEPS = {
-    "tests/system/virtual_camera/test_realsense.py": "an engine that takes no frames for a while",
-    "tests/campaigns/faults/test_cleanup.py": "the program that is killed, and a wait for its remains",
-    "tests/campaigns/faults/test_wall_clock.py": "the clock under test is compared with real time",
+    "verification/virtual_camera/test_realsense.py": "an engine that takes no frames for a while",
+    "verification/faults/test_cleanup.py": "the program that is killed, and a wait for its remains",
+    "verification/faults/test_wall_clock.py": "the clock under test is compared with real time",
     "tests/service/cli/test_qa.py": "the line stays off for 0.5 s",
     "tests/service/sessions/recovery/test_journal.py": "the program that is killed",
     "tests/system/engine_process/test_killed_engine.py": "a command grows too old in another process",
-    "tests/system/virtual_camera/test_faults.py": "a camera delivers nothing for 0.3 s",
-    "tests/system/virtual_camera/test_sdk_sessions.py": "the beam stays off for 0.5 s on a camera's clock",
-    "tests/system/virtual_camera/test_live_session.py": "the beam stays off for 0.5 s on a real camera's clock",
+    "verification/virtual_camera/test_faults.py": "a camera delivers nothing for 0.3 s",
+    "verification/virtual_camera/test_sdk_sessions.py": "the beam stays off for 0.5 s on a camera's clock",
+    "verification/virtual_camera/test_live_session.py": "the beam stays off for 0.5 s on a real camera's clock",
 }
 """Test modules that sleep, and why: nothing can be waited for. Others wait with tests/support/waiting.py."""
 
@@ -84,7 +86,7 @@ def test_no_test_module_compiles_grammars_where_it_is_collected():
 
 
 def test_make_check_runs_some_tests_of_every_package():
-    modules = [path for path in MODULES if path.name.startswith("test_")]
+    modules = [path for path in MODULES if path.name.startswith("test_") and TESTS in path.parents]
     others = {path for path in modules if not module_marks(path).isdisjoint({"slow", *PARTS})}
     others |= {path for path in modules if not set(SLOW_FOLDERS).isdisjoint(path.parents)}
     fast = {path.relative_to(TESTS).parts[:2] for path in modules if path not in others}
@@ -200,7 +202,7 @@ def test_every_package_and_every_folder_of_documents_has_a_budget():
     packages = {
         f"{top}/{path.name}" for top in ("engine", "service") for path in (ROOT / top).iterdir() if path.is_dir()
     }
-    assert BUDGETS["lines"].keys() == {name for name in packages if lines_of(name)} | {"tests"}
+    assert BUDGETS["lines"].keys() == {name for name in packages if lines_of(name)} | {"tests", "verification"}
     assert BUDGETS["words"].keys() == {
         f"docs/{path.name}" for path in (ROOT / "docs").iterdir() if words_of(f"docs/{path.name}")
     }

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     )
     from engine.offline.result_files import (
         OfflineSummary as OfflineSummary,
+        fingerprint as fingerprint,
     )
     from engine.offline.segments import (
         SegmentSummary as SegmentSummary,

@@ -5,15 +5,18 @@ are written atomically.
 """
 
 import csv
+import hashlib
 import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
 import numpy as np
 
+import engine
 from engine.core.breath import Breath
 from engine.core.files import write_whole
 from engine.core.frames import FloatArray, Measurement, MeasurementState, Motion, PhaseLag
@@ -334,3 +337,16 @@ def _lag_summary(pair: tuple[str, str], lags: list[PhaseLag]) -> LagSummary:
 
 def _median(lags: list[PhaseLag], name: str) -> float | None:
     return float(np.median([getattr(lag, name) for lag in lags])) if lags else None
+
+
+@lru_cache
+def fingerprint(*patterns: str) -> str:
+    """Hash the source of the engine's modules that match glob patterns, relative to ``engine``.
+
+    A cached measurement is valid as long as the fingerprint of the code that it depends on is unchanged.
+    """
+    root = Path(engine.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted({path for pattern in patterns for path in root.glob(pattern)}):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]

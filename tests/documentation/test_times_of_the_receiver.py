@@ -5,10 +5,10 @@ import re
 import pytest
 
 from engine.beam.heartbeat_drill import RECEIVER_DROP_MS
-from tests.campaigns.faults.kinds import RECEIVER_MS
 from tests.support.beam.modbus_server import DROP_NS
 from tests.support.documents.hazards import sections
 from tests.support.repository import ROOT
+from verification.faults.kinds import RECEIVER_MS
 
 SAFETY = (ROOT / "docs" / "2-clinical" / "safety.md").read_text(encoding="utf-8")
 HAZARDS = (ROOT / "docs" / "2-clinical" / "hazards.md").read_text(encoding="utf-8")

@@ -20,7 +20,18 @@ TESTS = (
     "tests/engine/capture/oni/test_compiled_decoding.py",
     "tests/engine/motion/test_compiled_forms.py",
 )
-COPIED = ("engine", "service", "migrations", "tests", "setup.py", "pyproject.toml", "README.md", "LICENSE")
+COPIED = (
+    "engine",
+    "service",
+    "migrations",
+    "tests",
+    "verification",
+    "conftest.py",
+    "setup.py",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+)
 
 
 def _library(name: str) -> str:

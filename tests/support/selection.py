@@ -22,18 +22,15 @@ MODULE_MARKS = re.compile(r"^pytestmark = (\[[^\]]*\]|.*?$)", re.MULTILINE | re.
 STAGES = ("test", "verify")
 """Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
 VERIFICATION_FOLDERS = (
-    ROOT / "tests/campaigns",
+    ROOT / "verification",
     ROOT / "tests/engine/lab",
     *(
         ROOT / "tests/system" / name
-        for name in (
-            *("beam_line", "bundle", "client", "cluster", "department", "docker", "engine_process"),
-            *("processors", "service", "tls", "virtual_camera"),
-        )
+        for name in ("beam_line", "client", "cluster", "engine_process", "processors", "service", "tls")
     ),
 )
 """Folders of which every module is of the second stage."""
-SLOW_FOLDERS = (ROOT / "tests/campaigns", ROOT / "tests/system")
+SLOW_FOLDERS = (ROOT / "verification", ROOT / "tests/system")
 SLOW_FIXTURES = frozenset(
     {
         "postgres_server",

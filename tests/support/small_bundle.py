@@ -5,7 +5,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.campaigns.bundle.maker import SIGNER, lay_out, seal
+from verification.bundle.maker import SIGNER, lay_out, seal
 
 PROGRAM = '''"""Records its arguments; fails where a file says so."""
 import os, pathlib, sys, tomllib

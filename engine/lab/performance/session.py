@@ -18,13 +18,14 @@ from engine.core.frames import MeasurementState, RgbdFrame
 from engine.gating.gate import Gate, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
-from engine.lab.evaluation.runs.datasets import fingerprint, is_made, write_recipe
+from engine.lab.evaluation.runs.datasets import is_made, write_recipe
 from engine.lab.performance.machine import SpeedBenchError
 from engine.lab.phantom.recording import make_volunteer
 from engine.motion.learning.tasks import Outcome
 from engine.motion.learning.trainer import Trainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from engine.offline.result_files import fingerprint
 
 READ_TIMEOUT_S = 5.0
 # Wider than every breath of the volunteer, so that the gate takes its longest path.

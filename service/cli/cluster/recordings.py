@@ -1,19 +1,14 @@
-"""``tidegate measure --scheduler`` and ``tidegate evaluate --scheduler``: jobs made, results put in place."""
+"""``tidegate measure --scheduler``: jobs made, results put in place."""
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from engine.core.errors import RecordingError
-from engine.lab.evaluation.runs.bench import Progress as RunProgress, Report
-from engine.lab.evaluation.runs.datasets import RECIPE, Run
-from engine.lab.evaluation.runs.trial import TrialSettings
 from engine.offline import FileOutcome, FileTask, Progress
 from service.cli.cluster.options import SchedulerOptions
 from service.cli.cluster.run import Finished, connected, run_jobs
-from service.cli.cluster.worker import EvaluationJob, MeasureJob
+from service.cli.cluster.worker import MeasureJob
 
 
 def measure_on_cluster(
@@ -61,47 +56,3 @@ def _put_in_place(finished: Finished, target: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
     for name in finished.files:
         (finished.folder / name).replace(target / name)
-
-
-def evaluate_on_cluster(
-    scheduler: SchedulerOptions, runs: list[Run], work: Path, settings: TrialSettings, report: Report
-) -> None:
-    """Make and measure the evaluation's runs with the workers of a cluster.
-
-    Raises
-    ------
-    RecordingError
-        A run could not be done; the others are kept.
-    """
-    failures: list[str] = []
-    jobs = [EvaluationJob(planned=run, work=work.absolute(), settings=settings) for run in runs]
-
-    def on_report(position: int, values: dict[str, Any]) -> None:
-        if values["doing"] != "done":  # done is what the client has put in place
-            report(RunProgress(run=runs[position].name, doing=values["doing"], frames_done=values["frames"]))
-
-    def on_finished(position: int, finished: Finished) -> None:
-        run = runs[position]
-        if finished.failure is not None:
-            failures.append(f"{run.name}: {finished.failure}")
-        else:
-            _keep_run(finished, work / run.name)
-        report(RunProgress(run=run.name, doing="done", frames_done=2 * run.frames))
-
-    with connected(scheduler) as client:
-        run_jobs(client, jobs, work, on_report, on_finished)
-    if failures:
-        raise RecordingError("; ".join(failures))
-
-
-def _keep_run(finished: Finished, target: Path) -> None:
-    """Move a run's folder where it belongs, or only its measurement where the recording was there before."""
-    assert finished.folder is not None, "a run that did not fail has a folder"
-    made = finished.folder / target.name
-    if f"{target.name}/{RECIPE}" in finished.files:
-        shutil.rmtree(target, ignore_errors=True)
-        made.replace(target)
-        return
-    names = [Path(name).name for name in finished.files]
-    for name in sorted(names, key=lambda name: name.endswith(".json")):  # the recipe last: it says complete
-        (made / name).replace(target / name)

@@ -2,7 +2,7 @@
 
 Plain values come first and the job is unpickled last, so that a worker with another version can say so.
 
-What is sent to a worker: a recording to measure, or a run of the evaluation. The work is that of one machine.
+What is sent to a worker is a job: a recording to measure, or another command's. The work is that of one machine.
 
 A job writes into a folder of its own, never where its results belong: a worker that lost its connection may still be
 writing when another one does the same job. The client moves the files of the one result that it accepts.
@@ -28,10 +28,7 @@ import scipy
 
 import engine
 from engine.core.errors import RecordingError
-from engine.lab.evaluation.runs.bench import MEASURED, MEASURED_RECIPE, Progress as RunProgress, do_run
-from engine.lab.evaluation.runs.datasets import Run, fingerprint, is_made
-from engine.lab.evaluation.runs.trial import TrialSettings
-from engine.offline import FileOutcome, FileTask, Progress, measure_file
+from engine.offline import FileOutcome, FileTask, Progress, fingerprint, measure_file
 
 MARKER = "run"
 """File in the staging folder by which a worker knows that it sees the client's folder."""
@@ -204,27 +201,3 @@ class MeasureJob:
             report({"frames": progress.frames, "total": progress.total})
 
         return measure_file(replace(self.task, out=folder), on_progress)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EvaluationJob:
-    """A run of the evaluation; a recording that is complete in the folder ``work`` is used again."""
-
-    planned: Run
-    work: Path
-    settings: TrialSettings
-
-    def run(self, folder: Path, report: Report) -> None:
-        """Make and measure the recording in ``folder/NAME``."""
-        kept = self.work / self.planned.name
-        if is_made(kept, self.planned.recipe):
-            stage = folder / self.planned.name
-            stage.mkdir()
-            for path in kept.iterdir():
-                if path.name not in {MEASURED, MEASURED_RECIPE}:
-                    (stage / path.name).symlink_to(path)
-
-        def on_progress(progress: RunProgress) -> None:
-            report({"doing": progress.doing, "frames": progress.frames_done})
-
-        do_run(self.planned, folder, self.settings, on_progress)

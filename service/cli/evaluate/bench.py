@@ -177,7 +177,7 @@ def _with_bar(plan: "list[Run]", work: Path, jobs: int, cluster: SchedulerOption
 def _elsewhere(cluster: SchedulerOptions | None) -> "DoAll | None":
     if cluster is None:
         return None
-    from service.cli.cluster.recordings import evaluate_on_cluster
+    from service.cli.evaluate.on_cluster import evaluate_on_cluster
 
     return partial(evaluate_on_cluster, cluster)
 

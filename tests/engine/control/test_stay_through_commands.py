@@ -21,6 +21,8 @@ from engine.gating.windows import BreathHoldWindow, JoinedWindow, amplitude_wind
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS, PERIOD_NS, motion_of
 
+pytestmark = pytest.mark.verification
+
 LIMIT_S = 3.0
 FRAMES_A_S = 1e9 / PERIOD_NS
 HEAD = LIMITS.head_direction

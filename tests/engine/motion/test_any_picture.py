@@ -17,7 +17,7 @@ from engine.motion.stages.roi import cut_out, roi_nodes
 from engine.motion.tracking.region_tracker import COUNTED_FRAMES
 from tests.support.motion import arbitrary_pictures, small_scene
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 SETTINGS = PipelineSettings(
     training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=1, max_seconds=20.0), extra_markers=True

@@ -12,6 +12,8 @@ from engine.core.reference import ReferenceMoment
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, new_pipeline
 
+pytestmark = pytest.mark.verification
+
 COUCH_MM, FLOOR_MM = 1000.0, 1700.0
 PERIOD = 120
 """Frames of a breath."""

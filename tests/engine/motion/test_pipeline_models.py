@@ -26,7 +26,7 @@ from engine.motion.training_process.process_trainer import ProcessTrainer
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import SETTINGS, Played, measuring, new_pipeline
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 PATIENT_LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-50.0, upper_mm=50.0),

@@ -16,7 +16,7 @@ from tests.support.calibration.foreign_calibrations import as_yaml, camera_info,
 from tests.support.calibration.plate_recordings import plate_depth, record_plate
 from tests.support.service.api_calls import make_calibration
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 BOARD = ["--columns", "9", "--rows", "6", "--square-mm", "30"]
 

@@ -12,7 +12,7 @@ from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.model_file import load_model, save_model
 from tests.support.command_line import invoke
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 PATIENT = ("--patient", "P-0001")
 

@@ -15,6 +15,8 @@ from service.core.settings.settings import Settings
 from service.engine_host.site_rules.window_limits import gate_limits
 from tests.support.command_line import invoke, measured
 
+pytestmark = pytest.mark.verification
+
 POINTS = ((10, 20), (30, 40))
 NAMED = tuple(
     NamedRegion(name=name, vertices=((20.0, 40.0), (20.0, 160.0), (120.0, 100.0))) for name in ("chest", "belly")

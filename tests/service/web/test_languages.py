@@ -25,25 +25,9 @@ CODES = [*HoldReason, *(code for code in ALARMS if code not in set(HoldReason))]
 NAMES = {"Tidegate", "F8", "Esc", "Tab", "Enter", "L", "End", "mm", "s", "OpenNI2 runtime"}
 """Text of the document that is the same in every language: names, keys and units."""
 MADE_OF = {
-    *(
-        "action.",
-        "alarm.",
-        "arming.group.",
-        "qa.",
-        "role.",
-        PREFIX,
-        "office.",
-        "review.",
-        "scope.",
-        "checks.",
-        "event.",
-        "theme.",
-        "hold.",
-        "lamp.",
-        "moved.",
-        "patient.",
-        "reason.unknown",
-    ),
+    *("action.", "alarm.", "arming.group.", "qa.", "role.", PREFIX),
+    *("office.", "review.", "scope.", "checks.", "event.", "theme."),
+    *("hold.", "lamp.", "moved.", "patient.", "reason.unknown"),
     *("signal.", "sound.", "status.", "tables.kind.", "to."),
 }
 """Keys that the scripts put together from a code."""

@@ -31,6 +31,8 @@ from tests.support.service.accounts import PASSWORD, PeopleClient, headers_of, o
 from tests.support.service.api_calls import HEAD, make_calibration, make_session_body, upload
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.verification
+
 V1 = "/api/v1"
 QA_RUNS = ("POST", f"{V1}/qa/runs")
 MACHINE = "a key with every scope"

@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from engine.lab.evaluation.runs.datasets import fingerprint
 from engine.lab.evaluation.runs.trial import MEASURING_SOURCES
 from engine.lab.phantom.sensor import BENCHED
+from engine.offline.result_files import fingerprint
 from tests.support.generated_sections import part_of, write_parts
 from tests.support.repository import ROOT
 

@@ -18,7 +18,7 @@ CLINICAL = ROOT / "docs" / "2-clinical"
 SAFETY, HAZARDS = CLINICAL / "safety.md", CLINICAL / "hazards.md"
 SEVERITIES = ("minor", "serious", "critical")
 PROBABILITIES = ("improbable", "remote", "occasional", "probable", "frequent")
-TEST = re.compile(r"`(tests/[\w/]+\.py(?:::test_\w+)?)`")
+TEST = re.compile(r"`((?:tests|verification)/[\w/]+\.py(?:::test_\w+)?)`")
 RATING = re.compile(r"^\*(\w+); (\w+) to (\w+)\. Rules? ([\d, ]+)\.\*$", re.MULTILINE)
 
 

@@ -7,7 +7,7 @@ from tests.support.browser.fake_service import COLUMNS, ROWS, FakeService, over,
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 

@@ -9,7 +9,7 @@ from tests.support.browser.fake_service import FakeService, sample
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 NONE = "\N{EN DASH}"
 BEAM_ON = sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True)

@@ -9,7 +9,7 @@ from tests.support.browser.fake_service import FakeService, sample
 from tests.support.browser.screencast import HANG, Screencast
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 
 def green_share(picture: npt.NDArray[np.int_]) -> float:

@@ -12,7 +12,7 @@ from tests.support.browser.fake_service import SESSION_ID, FakeService, person, 
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 BEAM_ON = sample(gate="beam_on", hold_reason=None, hold_text=None, hold_detail="", line_on=True)
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from engine.lab.evaluation.runs.bench import run_bench
 from service.cli.cluster.options import scheduler_options
-from service.cli.cluster.recordings import evaluate_on_cluster
+from service.cli.evaluate.on_cluster import evaluate_on_cluster
 from tests.support.evaluation.small_bench import SETTINGS, small_run
 
 work, address, *files = sys.argv[1:]

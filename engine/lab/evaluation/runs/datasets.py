@@ -4,21 +4,19 @@ A recording is made on demand and cached. Its parameters are stored in ``recipe.
 without a recipe, or with a different one, is made again.
 """
 
-import hashlib
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
-import engine
 from engine.core.bounds import check_number, check_whole_number
 from engine.core.files import write_whole
 from engine.lab.phantom.builds import NO_DEPARTURE, Departure
 from engine.lab.phantom.falsifications import Falsification, Move
 from engine.lab.phantom.recording import make_volunteer
 from engine.lab.phantom.sensor import BENCHED, USUAL, find_sensor
+from engine.offline.result_files import fingerprint
 
 SCHEMA = "tidegate.bench/1"
 SEED = 2017
@@ -308,16 +306,3 @@ def is_made(folder: Path, recipe: dict[str, object], name: str = RECIPE) -> bool
 def write_recipe(folder: Path, recipe: dict[str, object], name: str = RECIPE) -> None:
     """Mark the folder as complete: write its recipe atomically."""
     write_whole(folder / name, json.dumps(recipe, indent=1, sort_keys=True).encode())
-
-
-@lru_cache
-def fingerprint(*patterns: str) -> str:
-    """Hash the source of the engine's modules that match glob patterns, relative to ``engine``.
-
-    A cached measurement is valid as long as the fingerprint of the code that it depends on is unchanged.
-    """
-    root = Path(engine.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted({path for pattern in patterns for path in root.glob(pattern)}):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]

@@ -36,7 +36,7 @@ from engine.lab.evaluation.methods.plain import (
 )
 from engine.lab.evaluation.methods.smoothed import SmoothedPca
 from engine.lab.evaluation.playback import decoded_frames
-from engine.lab.evaluation.runs.datasets import Run, fingerprint
+from engine.lab.evaluation.runs.datasets import Run
 from engine.lab.phantom.recording import load_truth
 from engine.lab.phantom.scene import Scene, Script
 from engine.lab.phantom.truth import CELL_PX, POINTS_RC, Truth
@@ -44,6 +44,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import measure_recording
+from engine.offline.result_files import fingerprint
 from engine.offline.segments import SegmentSummary
 
 EIGENVALUES = 10

@@ -14,7 +14,7 @@ from engine.calibration.procedures.stereo_pair import BoardPair, PictureSizes, f
 from engine.core.errors import CalibrationError, InvalidValueError
 from tests.support.calibration.camera_pair import BOARD, CAMERAS, board_poses, seen_corners
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 SIZES = PictureSizes(depth=(640, 480), color=(640, 480))
 NOISE_PX = 0.05

@@ -1,7 +1,7 @@
 """People who breathe as at the reference are not held, by recordings of people; those who do not are."""
 
-from tests.campaigns.measurements.honest_minutes import MOST_PERCENT, played
 from tests.support.repository import ROOT
+from verification.measurements.honest_minutes import MOST_PERCENT, played
 
 
 def test_honest_minutes_of_recorded_people_are_not_held():

@@ -4,7 +4,7 @@ import pytest
 
 from tests.support.evaluation.confirmed_references import STARTS, STEP_S, confirmed_references
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.verification]
 
 
 @pytest.mark.timeout(900)

@@ -16,6 +16,8 @@ from tests.support.motion.held_trainer import HeldTrainer
 from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames
 from tests.support.motion.training_frames import FEW, FRAME_US, STAGES, Patient
 
+pytestmark = pytest.mark.verification
+
 EXHALE, INHALE, NOW = ReferenceMoment
 BREATH = 120
 """Frames of a breath."""

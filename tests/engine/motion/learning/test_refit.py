@@ -13,7 +13,7 @@ from tests.support.motion import training_frames
 from tests.support.motion.held_trainer import HeldTrainer
 from tests.support.motion.training_frames import BELLY, CHEST, FEW, FRAME_US, STAGES, Patient, breath
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.verification]
 
 UNTIL_S = 30.0
 REFITTING = replace(FEW, refit_until_s=UNTIL_S)

@@ -10,7 +10,7 @@ from service.access.request.identity import ClaimedOperator, read_claim
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import FakeRunning
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.verification]
 
 AWAY = ["hold", "disarm", "stop"]
 JSON = "application/json"

@@ -1,1 +1,0 @@
-"""A department that follows rooms: docker/department's own files on two real PostgreSQL servers."""
