@@ -117,8 +117,8 @@ def pack_general(node: int, **values: bytes) -> bytes:
 
 def pack_camera(serial: str) -> bytes:
     """Write which camera a recording is of, for the very end of its file; nothing for a camera without a number."""
-    number = serial.encode()
-    is_usable = serial.isprintable() and 0 < len(number) <= MAX_SERIAL_BYTES
+    number = serial.encode() if serial.isprintable() else b""  # a half of a character is not printable
+    is_usable = 0 < len(number) <= MAX_SERIAL_BYTES
     return number + CAMERA_TAIL.pack(len(number), CAMERA_MAGIC) if is_usable else b""
 
 

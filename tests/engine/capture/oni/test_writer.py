@@ -32,7 +32,7 @@ def test_the_recording_has_its_name_only_when_it_is_whole(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("serial", "found"), [("A1", "A1"), ("", ""), ("ü" * 64, "ü" * 64), ("x" * 129, ""), ("a\nb", "")]
+    ("serial", "found"), [("A1", "A1"), ("", ""), ("ü" * 64, "ü" * 64), ("x" * 129, ""), ("a\nb", ""), ("\ud800", "")]
 )
 def test_the_camera_is_in_the_file_where_it_has_a_usable_number(tmp_path, serial, found):
     described = describe(write_recording(tmp_path / "a.oni", serial=serial))
