@@ -40,11 +40,12 @@ $(BIN)/uv: requirements-dev.lock
 	@$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r $(VENV)/tools.lock
 	@touch $@
 
-# What runs: the packages of the room's lock, and Tidegate itself.
-$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
+# What runs: the packages of the room's lock, Tidegate itself, and the lab beside it.
+$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py lab/pyproject.toml lab/setup.py $(wildcard engine/core/compiled/*.[ch])
 	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements.lock
 	@echo "Compiling the frame path"
 	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable ./lab
 	@$(BIN)/python -c 'from engine.core.compiled import frame_path; print("Frame path:", frame_path())'
 	@touch $@
 
@@ -131,7 +132,7 @@ lint: $(STAMP)  ## ruff, rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 security: $(STAMP)  ## bandit; ruff's security rules are in lint
-	$(BIN)/bandit -q -c pyproject.toml -r engine service migrations 2>/dev/null
+	$(BIN)/bandit -q -c pyproject.toml -r engine service lab migrations 2>/dev/null
 types: $(STAMP)  ## mypy --strict
 	$(BIN)/mypy
 contracts: $(STAMP)  ## import-linter: who may import whom

@@ -341,11 +341,11 @@ def _median(lags: list[PhaseLag], name: str) -> float | None:
 
 @lru_cache
 def fingerprint(*patterns: str) -> str:
-    """Hash the source of the engine's modules that match glob patterns, relative to ``engine``.
+    """Hash the source of the modules that match glob patterns, relative to the folder in which ``engine`` stands.
 
     A cached measurement is valid as long as the fingerprint of the code that it depends on is unchanged.
     """
-    root = Path(engine.__file__).parent
+    root = Path(engine.__file__).parent.parent
     digest = hashlib.sha256()
     for path in sorted({path for pattern in patterns for path in root.glob(pattern)}):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())

@@ -3,13 +3,20 @@
 Rich markup stays off: it removes units in brackets such as [mm] from help texts and turns ``whole:-1:3`` into an emoji.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import typer
 from typer.core import TyperGroup
 
 HELP_WIDTH = 100
 """Longest line of a help text [characters]; a narrower terminal has shorter ones."""
+
+
+class Command(NamedTuple):
+    """A command: its module and its line in ``tidegate --help``."""
+
+    module: str
+    summary: str
 
 
 class CommandGroup(TyperGroup):

@@ -97,8 +97,8 @@ def _run(settings: "Settings") -> None:
 
 def _rig(settings: "Settings") -> "QaRig":
     """Return what builds QA jobs; a clinical service has no virtual set-up."""
-    from service.cli.qa.simulated import SimulatingRig
     from service.qa.late_rig import LateRig
+    from service.qa.virtual_setups import SimulatingRig
 
     return LateRig(settings) if settings.mode == "clinical" else SimulatingRig(settings)
 

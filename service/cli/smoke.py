@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urlsplit
 import typer
 
 from engine.core.errors import TidegateError
-from service.cli.simulate_tps import KEY_VARIABLE, PIPED_WIDTH, secret_from
+from service.cli.secret_files import KEY_VARIABLE, secret_from
 from service.cli.terminal import refused
 from service.client import ClientError, LiveMessage, Sample, TidegateClient, UsageError
 
@@ -29,6 +29,7 @@ MOST_CLOCK_DIFFERENCE_S = 2.0
 """A larger difference of the two clocks is a warning: times of audit and planning system would not fit."""
 COLORS = {"ok": "green", "warning": "yellow", "failed": "red", "skipped": "dim"}
 FAILED = 1
+PIPED_WIDTH = 140
 
 Outcome = Literal["ok", "warning", "failed", "skipped"]
 

@@ -17,10 +17,10 @@ from engine.core.commands import Arm, SetReference
 from engine.core.errors import SourceEndedError
 from engine.core.gate_state import GateState
 from engine.gating.windows import amplitude_window
-from engine.lab.performance.session import EndlessSource, Recording
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from lab.performance.session import EndlessSource, Recording
 from tests.support.control.loop_bench import drained
 
 ROOT = Path(__file__).parents[2]
@@ -113,6 +113,6 @@ def test_the_walk_of_a_frame_names_every_file_that_an_armed_frame_runs_through(l
     assert loop.join(timeout_s=60.0)
     assert frames_on == FRAMES
     own = {str(Path(path).relative_to(ROOT)) for path in passed if Path(path).is_relative_to(ROOT / "engine")}
-    own = {path for path in own if not path.startswith(("engine/core/", "engine/lab/"))}
+    own = {path for path in own if not path.startswith(("engine/core/", "lab/"))}
     assert own - named_files() == set(), "these are on the way and not on the page"
     assert named_files() - own == set(), "these are on the page and not on the way"

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-import engine
-from engine.lab.phantom.recording import make_volunteer
+from lab.phantom.recording import make_volunteer
 from tests.support.build_cache import digest_of, made_once
+from tests.support.repository import ROOT
 
 MAKERS = [
-    Path(engine.__path__[0]) / name
-    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
+    ROOT / name
+    for name in ("lab/phantom", "engine/capture/oni", "engine/core/geometry.py", "engine/calibration/laser_plane.py")
 ]
 """The sources that a recording depends on: one changed, it is made anew."""
 

@@ -34,14 +34,15 @@ NUMPY_FORMS = {"TIDEGATE_FRAME_PATH": "numpy"}
 SETTINGS = {"without AVX-512": WITHOUT_AVX512, "without AVX": WITHOUT_AVX, "without the compiled path": NUMPY_FORMS}
 
 NUMERIC = (
-    *(f"tests/engine/{name}" for name in ("core", "calibration", "motion", "gating", "offline", "qa", "lab")),
+    *(f"tests/engine/{name}" for name in ("core", "calibration", "motion", "gating", "offline", "qa")),
+    "tests/lab",
     "tests/engine/capture/oni",
+    "tests/lab/evaluation",
+    "tests/lab/phantom",
     *(
         f"tests/service/cli/test_{name}.py"
         for name in ("measure", "measure_motion", "measure_window", "calibrate", "qa")
     ),
-    # What is timed.
-    "--ignore=tests/engine/lab/performance",
 )
 """What computes."""
 

@@ -23,7 +23,7 @@ STAGES = ("test", "verify")
 """Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
 VERIFICATION_FOLDERS = (
     ROOT / "verification",
-    ROOT / "tests/engine/lab",
+    ROOT / "tests/lab",
     *(
         ROOT / "tests/system" / name
         for name in ("beam_line", "client", "cluster", "engine_process", "processors", "service", "tls")

@@ -10,10 +10,10 @@ from engine.calibration.camera_calibration import STRICT
 from engine.capture.oni.reader import OniReader
 from engine.core.errors import CalibrationError, ModelError, RecordingError
 from engine.core.files import open_plain
-from engine.lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from engine.motion.learning.model_file import load_model
 from engine.qa.recorded_traces import read_trace
 from engine.qa.trace import read_commanded
+from lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from service.core.errors import BoundError, NotFoundError
 from service.engine_host.site_rules.recording_folders import find_recording
 

@@ -56,7 +56,7 @@ def _make(asked: argparse.Namespace, place: Path) -> Path:
     if debs is not None:
         fetch_debs(debs)
     folder.mkdir()
-    lay_out(folder, version=version, own=built.glob("*.whl"), wheels=wheels, debs=debs, image=asked.image)
+    lay_out(folder, version=version, own=built.glob("tidegate-*.whl"), wheels=wheels, debs=debs, image=asked.image)
     seal(folder, asked.key)
     archive: Path = asked.out / f"tidegate-{version}-bundle.tar"
     pack(folder, archive)

@@ -10,10 +10,10 @@ from engine.calibration.formats.conversion import read_upload
 from engine.calibration.laser_plane import LaserPlaneError, load_plane
 from engine.core.errors import CalibrationError, InvalidValueError, RecordingError
 from engine.core.strict_json import StrictJson
-from engine.lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from engine.motion.named_regions import load_regions
 from engine.qa.recorded_traces import read_trace
 from engine.qa.trace import read_commanded
+from lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from tests.support.calibration.foreign_calibrations import (
     CAMERAS,
     import_document,
@@ -167,7 +167,7 @@ TARGETS = (
     ),
     Target(
         name="flow",
-        reads="a spirometer's flow or volume (`engine.lab.evaluation.instruments.flow_file`)",
+        reads="a spirometer's flow or volume (`lab.evaluation.instruments.flow_file`)",
         read=read_flows,
         refusals=(FlowFileError,),
         seeds=flows,

@@ -25,7 +25,7 @@ import httpx2
 import numpy as np
 from websockets.sync.client import connect
 
-from engine.lab.phantom.recording import make_volunteer
+from lab.phantom.recording import make_volunteer
 from service.core.settings.settings import Settings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import SOMEBODY, Provisioned, provision

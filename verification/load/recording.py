@@ -10,23 +10,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-import engine
 from engine.capture.oni.codec import encode_16zt, encode_jpeg
 from engine.capture.oni.reader import OniReader
 from engine.capture.oni.streams import CodedFrame
 from engine.capture.oni.writer import OniWriter
-from engine.lab.phantom.recording import make_volunteer
+from lab.phantom.recording import make_volunteer
 from tests.support.build_cache import digest_of, made_once
+from tests.support.phantom_recordings import MAKERS
 
 BASE_S = 40.0
 FPS = 30.0
 JPEG_QUALITY = 90
 COLOR_NOISE = 3
 VOLUNTEER = {"scenario": "regular", "volunteer": 1, "seed": 1}
-MAKERS = [
-    Path(engine.__path__[0]) / name
-    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
-]
 
 
 class _Picture(NamedTuple):

@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
-from service.planning.simulated_tps.prescription import built_in_plan
+from lab.simulated_tps.prescription import built_in_plan
 from tests.support.phantom_recordings import volunteer
 from tests.support.planning.treatment_services import PASSWORD, THERAPIST, treating
 from tests.support.releases import RELEASES
@@ -60,7 +60,7 @@ def main() -> int:
 
 
 def build(out: Path) -> None:
-    """Build wheel and source archive from what is committed, and list them."""
+    """Build the wheels and the source archive from what is committed, and list them."""
     out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
         tree = Path(place) / "tree"
@@ -68,13 +68,15 @@ def build(out: Path) -> None:
         subprocess.run(["git", "archive", "-o", str(archive), "HEAD"], cwd=ROOT, check=True)
         with tarfile.open(archive) as packed:
             packed.extractall(tree, filter="data")
-        code = "import setuptools.build_meta as b, sys; out = sys.argv[1]; b.build_sdist(out); b.build_wheel(out)"
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        subprocess.run([sys.executable, "-c", code, str(out.resolve())], cwd=tree, check=True, **quiet)
+        for kind, folder in (("sdist", tree), ("wheel", tree), ("wheel", tree / "lab")):
+            code = f"import setuptools.build_meta as b, sys; b.build_{kind}(sys.argv[1])"
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            subprocess.run([sys.executable, "-c", code, str(out.resolve())], cwd=folder, check=True, **quiet)
     shutil.copy(ROOT / "docker/sbom.cdx.json", out / "sbom.cdx.json")
     files = sorted(path for path in out.iterdir() if path.name != "SHA256SUMS")
     kinds = sorted(path.suffix for path in files)
-    assert kinds == [".gz", ".json", ".whl"], f"{out} must hold one source archive, one wheel and the bill: {kinds}"
+    expected = [".gz", ".json", ".whl", ".whl"]
+    assert kinds == expected, f"{out} must hold one source archive, two wheels and the bill: {kinds}"
     lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in files]
     (out / "SHA256SUMS").write_text("\n".join(lines) + "\n", encoding="utf-8")
     for path in files:

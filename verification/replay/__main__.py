@@ -16,18 +16,14 @@ import cv2
 import numpy as np
 import typer
 
-import engine
-from engine.lab.phantom.recording import make_volunteer
+from lab.phantom.recording import make_volunteer
 from service.core.settings.database_place import DATABASE_NAME
 from service.sessions.recovery.replay import StoredSession, Verdict
 from service.storage.database.engine import Database
 from tests.support.build_cache import digest_of, made_once
+from tests.support.phantom_recordings import MAKERS
 from tests.support.replay.real_sessions import WINDOWS, BusyPerson, Played, Troubles, play
 
-MAKERS = [
-    Path(engine.__path__[0]) / name
-    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
-]
 VOLUNTEERS = (
     *(("regular", number, 22.0) for number in (1, 2, 3, 4)),
     *(("irregular", number, 22.0) for number in (1, 2, 5)),

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from engine.lab.phantom.sensor import depth_table_mm
+from lab.phantom.sensor import depth_table_mm
 from tests.support.virtual_camera.block import Streams
 from tests.support.virtual_camera.viewer import Onlooker, look
 

@@ -71,7 +71,7 @@ def identity() -> dict[str, str]:
         "NumPy": np.__version__,
         "OpenCV": cv2.__version__,
         "SciPy": scipy.__version__,
-        "engine's source": fingerprint("**/*.py"),
+        "engine's source": fingerprint("engine/**/*.py"),
     }
 
 

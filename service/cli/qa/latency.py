@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from engine.capture import SourceDescription
-from engine.core.clock import MonotonicClock
 from engine.qa import QaBaseline, QaKind, opened
 from engine.qa.latency import SECONDS_BOUNDS
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.qa import queries
-from service.qa.guarded_line import GuardedLine
 from service.qa.latency.rig import LatencyJob, LatencyRig
 from service.qa.latency.schemas import CameraMode, LatencyRunRequest
 from service.qa.queries import NewQaRun
 from service.qa.runs import refuse_open_session
+from service.qa.virtual_setups import virtual_setups
 from service.storage.database.engine import Database
 
 COMMAND = "qa latency"
@@ -78,7 +77,8 @@ def _refuse_options(options: LatencyOptions, settings: Settings) -> None:
 
 def _virtual(options: LatencyOptions) -> tuple[LatencyRunRequest, LatencyJob]:
     seed = 1 if options.seed is None else options.seed
-    job = virtual_job(seed=seed, seconds=_seconds(options.seconds), delay_ms=options.fault_delay_ms)
+    setups = virtual_setups("simulated")
+    job = setups.latency_job(seed=seed, seconds=_seconds(options.seconds), delay_ms=options.fault_delay_ms)
     return _request(options, job.camera, seed, output_delay_ms=0.0), job
 
 
@@ -106,15 +106,6 @@ def _request(
     }
     stated = {} if output_delay_ms is None else {"output_delay_ms": output_delay_ms}
     return checked(LatencyRunRequest, fields | stated)
-
-
-def virtual_job(*, seed: int, seconds: float, delay_ms: float) -> LatencyJob:
-    """Build a job on a virtual camera of known latency; the site's camera and beam line are not used."""
-    from engine.beam import SimulatedBeamLine
-    from engine.lab.virtual_latency import VirtualFaults, virtual_light
-
-    given = virtual_light(VirtualFaults(delay_ms=delay_ms), seed=seed, seconds=seconds)
-    return LatencyJob(given, GuardedLine(SimulatedBeamLine(MonotonicClock())))  # a cancel takes every job's line away
 
 
 def _seconds(seconds: float) -> float:

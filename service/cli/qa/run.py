@@ -8,7 +8,6 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from engine.calibration import Calibration, load_calibration
-from service.cli.qa.simulated import SimulatingRig
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
@@ -16,6 +15,7 @@ from service.engine_host.site_rules.calibrations import refuse_reserved_name
 from service.qa import queries, schemas
 from service.qa.jobs import QaFiles
 from service.qa.runs import check_beam_safety, new_run, permits_real_beam, refuse_open_session
+from service.qa.virtual_setups import SimulatingRig
 from service.sessions.records.calibrations import ACTION as UPLOAD, kept_row
 from service.storage.audit import Event, append as append_audit
 from service.storage.database.engine import Database

@@ -8,7 +8,6 @@ import pytest
 from engine.capture.source import SourceDescription
 from engine.core.errors import InvalidValueError
 from engine.core.frames import MeasurementState
-from engine.lab.virtual_qa import AMPLITUDE_MM, PERIODS_S, virtual_phantom
 from engine.offline.offline_gate import Edge
 from engine.qa.checks import check_of
 from engine.qa.phantom import (
@@ -26,6 +25,7 @@ from engine.qa.phantom import (
 from engine.qa.playing import opened
 from engine.qa.sine import find_cycles
 from engine.qa.trace import CommandedTrace, read_commanded
+from lab.virtual_qa import AMPLITUDE_MM, PERIODS_S, virtual_phantom
 from tests.support.qa.phantom_frames import watched
 from tests.support.repository import DATA
 

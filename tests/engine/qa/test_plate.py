@@ -7,7 +7,12 @@ import pytest
 
 from engine.calibration.camera_calibration import DepthCorrection
 from engine.core.errors import FrameTimeoutError, InvalidValueError, RecordingError, SourceLostError
-from engine.lab.virtual_qa import (
+from engine.qa.bounds import QaBounds
+from engine.qa.checks import check_of
+from engine.qa.inputs import PlateInput
+from engine.qa.results import QaKind, QaNeed, QaVerdict
+from engine.qa.run import judge_all, measure_plate
+from lab.virtual_qa import (
     DISTANCE_MM,
     TILT_X_DEG,
     TILT_Y_DEG,
@@ -16,11 +21,6 @@ from engine.lab.virtual_qa import (
     RigFaults,
     virtual_plate,
 )
-from engine.qa.bounds import QaBounds
-from engine.qa.checks import check_of
-from engine.qa.inputs import PlateInput
-from engine.qa.results import QaKind, QaNeed, QaVerdict
-from engine.qa.run import judge_all, measure_plate
 from tests.support.qa.altered_plate import Altered
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError, RecordingError
-from engine.lab.virtual_qa import (
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.checks import checks_of
+from engine.qa.drill import drill_line
+from engine.qa.inputs import QaInputs
+from engine.qa.phantom import figures_of, run_of
+from engine.qa.results import QaBound, QaKind, QaNeed, QaReport, QaVerdict
+from engine.qa.run import _total, judge_all, measure_plate, run_qa
+from lab.virtual_qa import (
     SLIDE_S,
     VIRTUAL_BASELINE,
     RigFaults,
@@ -22,13 +29,6 @@ from engine.lab.virtual_qa import (
     virtual_phantom,
     virtual_plate,
 )
-from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.checks import checks_of
-from engine.qa.drill import drill_line
-from engine.qa.inputs import QaInputs
-from engine.qa.phantom import figures_of, run_of
-from engine.qa.results import QaBound, QaKind, QaNeed, QaReport, QaVerdict
-from engine.qa.run import _total, judge_all, measure_plate, run_qa
 from tests.support.qa.altered_plate import Altered
 from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.lab.phantom.truth import load_truth
+from lab.phantom.truth import load_truth
 from tests.support.command_line import Measured, measured_once
 
 PATIENT = ("--patient", "P-0001")

@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 from typer.testing import CliRunner
 
-from service.cli import COMMANDS, app
+from service.cli import COMMANDS, added_commands, app
 
 UNIT = re.compile(r"\[[^\]]*\]")
 HEAVY = ("numpy", "cv2", "fastapi", "sqlalchemy", "pydantic", "matplotlib", "rich", "engine", "service.core")
@@ -75,9 +75,20 @@ def test_a_window_in_a_help_text_is_no_emoji():
 
 def test_the_summaries_in_the_table_are_those_of_the_commands():
     """The table is printed without an import of the commands."""
-    assert {name: ALL[(name,)].help.partition("\n\n")[0].replace("\n", " ") for name in COMMANDS} == {
-        name: command.summary for name, command in COMMANDS.items()
+    table = COMMANDS | added_commands()
+    assert {name: ALL[(name,)].help.partition("\n\n")[0].replace("\n", " ") for name in table} == {
+        name: command.summary for name, command in table.items()
     }
+
+
+def test_without_the_lab_its_commands_are_unknown_and_it_is_named(monkeypatch):
+    assert {"demo", "phantom"} <= added_commands().keys()
+    monkeypatch.setattr("service.cli.added_commands", dict)
+    assert "simulate-tps" not in help_of(())
+    done = CliRunner().invoke(app, ["demo"])
+    assert done.exit_code == 2
+    assert "No such command 'demo'" in done.output
+    assert "tidegate[lab]" in done.output
 
 
 def test_the_help_of_the_program_imports_no_command():

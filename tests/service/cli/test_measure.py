@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.model_file import load_model
+from lab.phantom.truth import load_truth
 from tests.support.command_line import invoke, measured
 
 pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.verification]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.named_regions import load_regions, parse_region
 from engine.motion.stages.phase_lag import find_lag
+from lab.phantom.truth import load_truth
 from service.cli import app
 from service.cli.measure import command as measure_command
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from engine.core.errors import ModelError
-from engine.lab.phantom.truth import load_truth
 from engine.motion.learning import refit
 from engine.motion.learning.model_file import load_model
+from lab.phantom.truth import load_truth
 from tests.support.command_line import measured
 
 pytestmark = pytest.mark.verification

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.lab.phantom.truth import load_truth
 from engine.motion.learning.model_file import load_model, save_model
+from lab.phantom.truth import load_truth
 from tests.support.command_line import invoke
 
 pytestmark = [pytest.mark.slow, pytest.mark.verification]

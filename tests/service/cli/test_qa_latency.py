@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import MonotonicClock
 from engine.core.errors import SourceLostError
-from engine.lab.virtual_latency import VirtualFaults, virtual_light
+from lab.virtual_latency import VirtualFaults, virtual_light
 from service.cli import app
 from service.qa.guarded_line import GuardedLine
 from service.qa.latency.rig import LatencyJob, LatencyRig

@@ -7,11 +7,12 @@ import pytest
 
 from engine.core.errors import InvalidValueError, SourceLostError
 from engine.qa.results import QaKind
-from service.cli.qa.simulated import SimulatingRig
+from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.qa.jobs import QaFiles
 from service.qa.rig import EngineRig
 from service.qa.schemas import QaRunRequest
+from service.qa.virtual_setups import SimulatingRig
 from service.web.app import create_app
 from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.service.accounts import PeopleClient
@@ -42,6 +43,14 @@ def test_a_virtual_daily_run_is_passed_kept_printed_and_counts_for_nothing(setti
         assert "SIMULATED FROM END TO END" in text
         assert client.get(f"{url}/report.pdf").content == paper.content
         assert client.get("/api/v1/qa/status").json()["is_arming_allowed"] is False
+
+
+def test_without_the_lab_a_simulated_run_is_refused_by_name(settings, monkeypatch):
+    monkeypatch.setattr("service.qa.virtual_setups._installed", lambda: None)
+    request = QaRunRequest.model_validate({"kind": "daily", **ME, "simulation": {"seed": 3}})
+    with pytest.raises(BoundError, match=r"simulation must be omitted: .*tidegate\[lab\]") as refusal:
+        SimulatingRig(settings).job(request, QaFiles(), None)
+    assert refusal.value.field == "simulation"
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.capture.oni.writer import OniWriter
 from engine.core.geometry import Intrinsics
-from engine.lab.phantom.sensor import Holes, Sensor, Unit
+from lab.phantom.sensor import Holes, Sensor, Unit
 from tests.support.calibration.camera_pair import CAMERAS
 
 PERIOD_US = 33_400

@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from engine.lab.evaluation.runs.trial import MEASURING_SOURCES
-from engine.lab.phantom.sensor import BENCHED
 from engine.offline.result_files import fingerprint
+from lab.evaluation.runs.trial import MEASURING_SOURCES
+from lab.phantom.sensor import BENCHED
 from tests.support.generated_sections import part_of, write_parts
 from tests.support.repository import ROOT
 
@@ -27,7 +27,7 @@ SOURCES = {
     "budget": ("lab/phantom/*.py", "lab/evaluation/runs/*.py", *MEASURING_SOURCES),
     "integrity": ("lab/phantom/*.py", "lab/evaluation/integrity/*.py", *MEASURING_SOURCES),
 }
-"""What each part depends on: the phantom, the measurement and its judgement; globs relative to ``engine``."""
+"""What each part depends on: the phantom, the measurement and its judgement; globs of `fingerprint`."""
 
 
 class UncommittedError(RuntimeError):

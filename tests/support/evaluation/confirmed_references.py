@@ -25,10 +25,10 @@ from engine.core.frames import FloatArray, RgbdFrame
 from engine.core.reference import ReferenceMoment, ReferenceProposal
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
-from engine.lab.phantom.truth import Truth, load_truth
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from lab.phantom.truth import Truth, load_truth
 from tests.support.control.loop_bench import SteppedWatchdog, WatchedBeamLine, drained
 
 EVERY = 3

@@ -12,17 +12,17 @@ import numpy as np
 from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, NODE_STEP, ROI_COLUMNS, ROI_ROWS, FloatArray, RgbdFrame
 from engine.core.reference import ReferenceMoment
-from engine.lab.phantom.anatomy import MODES, Anatomy
-from engine.lab.phantom.falsifications import Falsification, Move
-from engine.lab.phantom.rig import build_rig, couch_from_body
-from engine.lab.phantom.scene import Script
-from engine.lab.phantom.studio import Studio
-from engine.lab.phantom.truth import RoiTruth, Skin, _map_grid, sticker_px
-from engine.lab.phantom.view import Rays
 from engine.motion.learning.position_fit import COLUMNS, ROWS, body_axes
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from lab.phantom.anatomy import MODES, Anatomy
+from lab.phantom.falsifications import Falsification, Move
+from lab.phantom.rig import build_rig, couch_from_body
+from lab.phantom.scene import Script
+from lab.phantom.studio import Studio
+from lab.phantom.truth import RoiTruth, Skin, _map_grid, sticker_px
+from lab.phantom.view import Rays
 
 FPS = 10.0
 LONGEST_S = 40.0

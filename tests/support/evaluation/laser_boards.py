@@ -8,8 +8,8 @@ import numpy as np
 from engine.calibration.laser_plane import LaserPlane
 from engine.calibration.procedures.boards import Board
 from engine.core.geometry import Intrinsics, RigidTransform
-from engine.lab.phantom.builds import find_build
-from engine.lab.phantom.rig import build_rig
+from lab.phantom.builds import find_build
+from lab.phantom.rig import build_rig
 
 BOARD = Board(columns=9, rows=6, square_mm=30.0)
 RIG = build_rig(find_build(1), 1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from engine.lab.evaluation.methods.outcome import MEASURING, TRAINING, Outcome, Track
+from lab.evaluation.methods.outcome import MEASURING, TRAINING, Outcome, Track
 
 N = 60
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from engine.lab.performance.frames import FrameCosts, FrameSizes, PictureCost
-from engine.lab.performance.machine import Machine, Timing
-from engine.lab.performance.memory import MemorySizes, MemoryUse
-from engine.lab.performance.results import SpeedFigures, SpeedSizes
-from engine.lab.performance.throughput import CommandRun, FitCost, FitSizes, FramesWhileFitting, Throughput
+from lab.performance.frames import FrameCosts, FrameSizes, PictureCost
+from lab.performance.machine import Machine, Timing
+from lab.performance.memory import MemorySizes, MemoryUse
+from lab.performance.results import SpeedFigures, SpeedSizes
+from lab.performance.throughput import CommandRun, FitCost, FitSizes, FramesWhileFitting, Throughput
 
 TINY = SpeedSizes(
     frames=FrameSizes(blocks=2, block_frames=15, plain_frames=3, decoded=5),

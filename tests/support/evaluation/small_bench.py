@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from engine.lab.evaluation.runs.datasets import Run
-from engine.lab.evaluation.runs.trial import TrialSettings
 from engine.motion.learning.trainer import TrainingSettings
+from lab.evaluation.runs.datasets import Run
+from lab.evaluation.runs.trial import TrialSettings
 
 SETTINGS = TrialSettings(
     plain_frames=30,

@@ -4,8 +4,8 @@ import random
 from collections import deque
 from collections.abc import Iterator
 
+from lab.simulated_tps.delivery import FAULTS, FaultInjectingClient
 from service.client import AnsweredCall, LiveMessage, SentCall
-from service.planning.simulated_tps.delivery import FAULTS, FaultInjectingClient
 
 SENT_TWICE = "sent twice"
 EVERY = 2

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from lab.simulated_tps.delivery import BeamClock
+from lab.simulated_tps.fraction import FractionRun, FractionSettings
+from lab.simulated_tps.prescription import built_in_plan, prescription_of
+from lab.simulated_tps.session_driver import DeliverySettings
 from service.client import TidegateClient
 from service.core.permissions import Permission, Role
-from service.planning.simulated_tps.delivery import BeamClock
-from service.planning.simulated_tps.fraction import FractionRun, FractionSettings
-from service.planning.simulated_tps.prescription import built_in_plan, prescription_of
-from service.planning.simulated_tps.session_driver import DeliverySettings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import provision
 from tests.support.service.api_calls import make_calibration

@@ -7,8 +7,8 @@ from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason
-from engine.lab.virtual_qa import StandingTime
 from engine.qa.inputs import BeamInput
+from lab.virtual_qa import StandingTime
 
 
 class Line(SimulatedBeamLine):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from engine.core.frames import Lost, LostReason, MeasurementState
-from engine.lab.virtual_qa import FIRST_US, FPS
 from engine.offline.offline_gate import TimedFrame
+from lab.virtual_qa import FIRST_US, FPS
 from tests.support.gating.streams import measured, motion_of
 
 ZERO_S = 15.0

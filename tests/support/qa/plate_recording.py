@@ -4,7 +4,7 @@ from pathlib import Path
 
 from engine.capture.oni.writer import OniWriter
 from engine.core.errors import SourceEndedError
-from engine.lab.virtual_qa import FPS, VIRTUAL_CALIBRATION, virtual_plate
+from lab.virtual_qa import FPS, VIRTUAL_CALIBRATION, virtual_plate
 
 
 def record_virtual_plate(folder: Path, seconds: float = 11.0) -> Path:

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-import engine.lab.phantom
+import lab.phantom
 from engine.calibration.camera_calibration import Calibration, parse_calibration
-from engine.lab.phantom.breathing import STEP_S, Breathing, Signals, breath_shape
-from engine.lab.phantom.scene import Scene, Script
-from engine.lab.phantom.sensor import depth_table_mm
-from engine.lab.phantom.studio import Studio
+from lab.phantom.breathing import STEP_S, Breathing, Signals, breath_shape
+from lab.phantom.scene import Scene, Script
+from lab.phantom.sensor import depth_table_mm
+from lab.phantom.studio import Studio
 from tests.support.build_cache import digest_of, made_once
 from tests.support.virtual_camera import block
 
@@ -97,7 +97,7 @@ def baked(look: Look | None = None) -> Film:
 
 
 def _digest(look: Look) -> str:
-    return digest_of(look, Path(__file__), Path(block.__file__), Path(engine.lab.phantom.__path__[0]))
+    return digest_of(look, Path(__file__), Path(block.__file__), Path(lab.phantom.__path__[0]))
 
 
 def _studio(look: Look) -> Studio:

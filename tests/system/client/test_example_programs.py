@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from service.planning.simulated_tps.prescription import built_in_plan
+from lab.simulated_tps.prescription import built_in_plan
 from tests.support.planning.treatment_services import quick_room
 from tests.support.repository import ROOT
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from service.planning.simulated_tps.prescription import built_in_plan
+from lab.simulated_tps.prescription import built_in_plan
 from tests.support.planning.treatment_services import PASSWORD, THERAPIST, treating
 from tests.support.repository import ROOT
 

@@ -11,9 +11,9 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from engine.lab.evaluation.runs.bench import run_bench
+from lab.evaluation.runs.bench import run_bench
 from service.cli.cluster.options import scheduler_options
-from service.cli.evaluate.on_cluster import evaluate_on_cluster
+from lab.commands.evaluate.on_cluster import evaluate_on_cluster
 from tests.support.evaluation.small_bench import SETTINGS, small_run
 
 work, address, *files = sys.argv[1:]

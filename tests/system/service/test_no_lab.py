@@ -1,4 +1,4 @@
-"""A clinical service loads nothing of `engine.lab`; a research one loads it with its first simulated QA run."""
+"""A clinical service loads nothing of the lab; a research one loads it with its first simulated QA run."""
 
 import json
 
@@ -14,7 +14,7 @@ PROGRAM = """
 import os, sys
 found = open(os.environ["FOUND"], "a", buffering=1)
 def note(event, arguments):
-    if event == "import" and str(arguments[0]).startswith("engine.lab"):
+    if event == "import" and str(arguments[0]).partition(".")[0] == "lab":
         found.write(arguments[0] + "\\n")
 sys.addaudithook(note)
 from service.cli import app
@@ -52,4 +52,4 @@ def test_only_a_research_service_loads_the_lab_and_only_for_a_simulated_run(tmp_
                 within_s=120.0,
                 pause_s=0.2,
             )
-    assert ("engine.lab.virtual_qa" in found.read_text()) is (mode == "research")
+    assert ("lab.virtual_qa" in found.read_text()) is (mode == "research")

@@ -11,7 +11,7 @@ from engine.calibration.procedures.depth_scale import check_distances, corrected
 from engine.calibration.procedures.flat_plate import PlateReading, find_plate_steps, read_plate
 from engine.capture.oni.writer import OniWriter
 from engine.core.errors import CalibrationError, RecordingError
-from engine.lab.phantom.rig import STEPS_A_MM
+from lab.phantom.rig import STEPS_A_MM
 from tests.support.calibration.camera_pair import CAMERAS
 from tests.support.calibration.plate_recordings import TRUE, plate_depth, record_plate
 

@@ -7,7 +7,7 @@ from engine.capture.oni.reader import OniReader
 from engine.capture.openni.source import OpenNiSource
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError
-from engine.lab.phantom.recording import make_volunteer
+from lab.phantom.recording import make_volunteer
 
 pytestmark = pytest.mark.alone
 

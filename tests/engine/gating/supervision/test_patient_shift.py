@@ -11,11 +11,11 @@ from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BodyPosition
 from engine.core.gate_state import HoldReason
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.patient_shift import CORNERS, NODES, MarkersAtReference, PatientShift
-from engine.lab.phantom.rig import chain, couch_from_body
-from engine.lab.phantom.scenarios import Pose
-from engine.lab.phantom.scene import Scene, Script
 from engine.motion.stages.roi import roi_nodes
 from engine.motion.stages.surface import end_at_markers, vertices_mm
+from lab.phantom.rig import chain, couch_from_body
+from lab.phantom.scenarios import Pose
+from lab.phantom.scene import Scene, Script
 from tests.support.gating.streams import LIMITS, motion_of
 from tests.support.motion.small_scene import CAMERA, CORNERS_PX
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.lab.phantom.breathing import IRREGULAR, REGULAR, breathe, time_grid
-from engine.lab.phantom.builds import find_build
-from engine.lab.phantom.episodes import LOST, lay_out_course
 from engine.motion.breathing import count_cycles
 from engine.qa.recorded_traces import read_trace
+from lab.phantom.breathing import IRREGULAR, REGULAR, breathe, time_grid
+from lab.phantom.builds import find_build
+from lab.phantom.episodes import LOST, lay_out_course
 
 DATA = Path(__file__).parents[3] / "data"
 SECONDS = 44.0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from engine.core.breath import SignalChoice
-from engine.lab.phantom.breathing import time_grid
-from engine.lab.phantom.builds import find_build
-from engine.lab.phantom.episodes import lay_out_course
 from engine.motion.breathing import follow_breathing, start_breathing
+from lab.phantom.breathing import time_grid
+from lab.phantom.builds import find_build
+from lab.phantom.episodes import lay_out_course
 from tests.support.motion.breathing_traces import breath, follow, kinds, onsets, regular, times
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS
-from engine.lab.phantom.falsifications import Move
 from engine.motion.learning.position_fit import COLUMNS, ROWS, body_axes, position_between
+from lab.phantom.falsifications import Move
 from tests.support.evaluation.fractions import Fraction
 
 VOLUNTEERS = (1, 3)

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from engine.core.frames import Markers
-from engine.lab.phantom.laser import CostalStickers
-from engine.lab.phantom.scene import Script
-from engine.lab.phantom.studio import Studio
-from engine.lab.phantom.view import Frustum
 from engine.motion.stages.markers import MarkerSearch, find_markers, find_stickers
 from engine.motion.stages.roi import color_from_roi
 from engine.motion.tracking.costal_line import agreed_split, find_split, split_between
+from lab.phantom.laser import CostalStickers
+from lab.phantom.scene import Script
+from lab.phantom.studio import Studio
+from lab.phantom.view import Frustum
 
 CORNERS = np.array([[240.3, 120.7], [402.6, 124.2], [392.1, 384.9], [246.8, 380.4]])
 ROI_MAP = color_from_roi(CORNERS)

@@ -8,8 +8,8 @@ import pytest
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from engine.core.errors import BeamLineError
-from engine.lab.virtual_qa import StandingTime
 from engine.qa.latency.light_driver import BeamLineLight, intervals_ns
+from lab.virtual_qa import StandingTime
 from tests.support.qa.faulty_lines import Line, NeverOn
 from tests.support.waiting import eventually
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings, strategies as st
 
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
-from engine.lab.virtual_latency import BEGINS_NS, VirtualCamera, VirtualFaults, virtual_light
 from engine.qa.latency.captured import CameraLatency, FrameTimes, PictureLog, TimeLog
 from engine.qa.latency.light_driver import LightChange, intervals_ns, refuse_pattern
 from engine.qa.latency.light_timing import latency_by_light
 from engine.qa.playing import frames_of
+from lab.virtual_latency import BEGINS_NS, VirtualCamera, VirtualFaults, virtual_light
 
 pytestmark = pytest.mark.verification
 

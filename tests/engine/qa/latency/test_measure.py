@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError
-from engine.lab.virtual_latency import VirtualFaults, virtual_light
 from engine.qa.bounds import QaBaseline, QaBounds
 from engine.qa.inputs import QaInputs
 from engine.qa.results import QaKind, QaVerdict
 from engine.qa.run import run_qa
+from lab.virtual_latency import VirtualFaults, virtual_light
 
 SECONDS = 30.0
 CODES = (

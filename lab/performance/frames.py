@@ -1,0 +1,205 @@
+"""Times the frame path from decoded pictures to the gate, and the plain method's.
+
+Every frame is decoded immediately before it is timed, as in a session, so that the caches are in the state that the
+decoder leaves.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.calibration.camera_calibration import load_calibration
+from engine.capture.oni.reader import OniReader
+from engine.capture.oni.streams import CodedFrame
+from engine.core.compiled import numpy_forms
+from engine.core.frames import FloatArray, MeasurementState, RgbdFrame
+from engine.motion.learning.trainer import InlineTrainer
+from lab.evaluation.methods.plain import ARTICLE_FPS, PlainReading
+from lab.performance.machine import (
+    SpeedBenchError,
+    Timing,
+    set_memory_aside,
+    settle_as_the_service,
+    timing_of,
+)
+from lab.performance.session import READ_TIMEOUT_S, BenchSession, EndlessSource, Recording
+
+# The number of training frames does not change the cost of a frame.
+TRAINING_FRAMES = 20
+MAX_UNMEASURED = 100
+NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
+MIN_MEASURED_SHARE = 0.95
+
+
+# The plain method of the article on the benchmark's recording, timed like Tidegate: from decoded pictures onwards.
+class PlainSession:
+    """Measures frames one by one, up to the reconstructed surface (equation 7)."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._source = EndlessSource(recording)
+        self._source.open()
+        calibration = load_calibration(recording.calibration)
+        self._reading = PlainReading(calibration, ARTICLE_FPS, training_frames=TRAINING_FRAMES)
+
+    def learn(self) -> None:
+        """Read frames until a model is fitted; raise SpeedBenchError if the four markers are never found."""
+        for _ in range(TRAINING_FRAMES + MAX_UNMEASURED):
+            self._measure(self._read())
+            if self._reading.model is not None:
+                return
+        raise SpeedBenchError("the plain method never found its four markers")
+
+    def block(self, frames: int) -> FloatArray:
+        """Return the durations of ``frames`` frames [ns], shape (frames,)."""
+        durations_ns = np.empty(frames)
+        for number in range(frames):
+            frame = self._read()
+            started = time.perf_counter_ns()
+            self._measure(frame)
+            durations_ns[number] = time.perf_counter_ns() - started
+        return durations_ns
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._source.close()
+
+    def _read(self) -> RgbdFrame:
+        return self._source.read(READ_TIMEOUT_S)
+
+    def _measure(self, frame: RgbdFrame) -> None:
+        measured = self._reading.measure(frame)
+        if measured is not None and self._reading.model is not None:
+            self._reading.model.reconstruct(measured.beta)
+
+
+# Times the decoding of depth and colour pictures from a recording.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureCost:
+    """Decoding of one kind of picture."""
+
+    name: str
+    timing: Timing
+
+
+def time_decoding(recording: Recording, most: int) -> tuple[PictureCost, ...]:
+    """Time the decoding of the first ``most`` pictures of each stream."""
+    coded: dict[bool, list[CodedFrame]] = {True: [], False: []}
+    with OniReader(recording.path) as reader:
+        for frame in reader.frames():
+            if len(coded[frame.is_depth]) < most:
+                coded[frame.is_depth].append(frame)
+            if min(map(len, coded.values())) >= most:
+                break
+    return tuple(_cost(NAMES[is_depth], frames) for is_depth, frames in coded.items())
+
+
+def _cost(name: str, frames: list[CodedFrame]) -> PictureCost:
+    spent_ns = np.empty(len(frames))
+    for number, frame in enumerate(frames):
+        started = time.perf_counter_ns()
+        _ = frame.decode_depth() if frame.is_depth else frame.decode_color()
+        spent_ns[number] = time.perf_counter_ns() - started
+    return PictureCost(name=name, timing=timing_of([spent_ns]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSizes:
+    """Amount of work: ``blocks`` of ``block_frames`` each, and ``decoded`` pictures of each kind."""
+
+    blocks: int
+    block_frames: int
+    plain_frames: int
+    decoded: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameCosts:
+    """Cost of a frame on one core.
+
+    Attributes
+    ----------
+    whole, whole_cpu
+        The whole frame path: wall clock and processor time.
+    numpy_cpu
+        Processor time with the numpy forms of the compiled functions, in blocks between; equal where none is compiled.
+    plain
+        The plain method, from decoded pictures to a surface of the region.
+    lost_core_share
+        Share of the timed span in which other processes used the core, 0 to 1.
+    """
+
+    whole: Timing
+    whole_cpu: Timing
+    numpy_cpu: Timing
+    plain: Timing
+    decoding: tuple[PictureCost, ...]
+    numpy_decoding: tuple[PictureCost, ...]
+    lost_core_share: float
+
+    @property
+    def median_ratio(self) -> float:
+        """Ratio of the plain method's median time to ours."""
+        return self.plain.median_us / self.whole.median_us
+
+    @property
+    def compiled_ratio(self) -> float:
+        """Ratio of the median processor time with the numpy forms to that of the path that runs."""
+        return self.numpy_cpu.median_us / self.whole_cpu.median_us
+
+    @property
+    def p99_ratio(self) -> float:
+        """Ratio of the plain method's 99th percentile to ours."""
+        return self.plain.p99_us / self.whole.p99_us
+
+
+def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: float) -> FrameCosts:
+    """Time frame path and plain method in alternating blocks; run it in a process of its own."""
+    settle_as_the_service(switch_interval_s)
+    ours = BenchSession(recording, InlineTrainer())
+    ours.learn()
+    plain = PlainSession(recording)
+    plain.learn()
+    set_memory_aside()
+    _warm_up(ours, sizes.block_frames)
+    wall_blocks, cpu_blocks, numpy_blocks, plain_blocks = [], [], [], []
+    for _ in range(sizes.blocks):
+        ours.arm()
+        wall_ns, cpu_ns = _whole_block(ours, sizes.block_frames)
+        wall_blocks.append(wall_ns)
+        cpu_blocks.append(cpu_ns)
+        with numpy_forms():
+            numpy_blocks.append(_whole_block(ours, sizes.block_frames)[1])
+        plain_blocks.append(plain.block(sizes.plain_frames))
+    ours.close()
+    plain.close()
+    with numpy_forms():
+        numpy_decoding = time_decoding(recording, sizes.decoded)
+    return FrameCosts(
+        whole=timing_of(wall_blocks),
+        whole_cpu=timing_of(cpu_blocks),
+        numpy_cpu=timing_of(numpy_blocks),
+        plain=timing_of(plain_blocks),
+        decoding=time_decoding(recording, sizes.decoded),
+        numpy_decoding=numpy_decoding,
+        lost_core_share=max(0.0, 1.0 - float(np.concatenate(cpu_blocks).sum() / np.concatenate(wall_blocks).sum())),
+    )
+
+
+def _warm_up(ours: BenchSession, frames: int) -> None:
+    """Fill the caches; raise SpeedBenchError if too few frames are measured, as lost frames take a shorter path."""
+    measured = sum(ours.decide(ours.read()) is MeasurementState.MEASURING for _ in range(frames))
+    if measured < MIN_MEASURED_SHARE * frames:
+        msg = f"only {measured} of {frames} frames of the bench's recording were measured, too few to time"
+        raise SpeedBenchError(msg)
+
+
+def _whole_block(ours: BenchSession, frames: int) -> tuple[FloatArray, FloatArray]:
+    wall_ns, cpu_ns = np.empty(frames), np.empty(frames)
+    for number in range(frames):
+        frame = ours.read()
+        cpu_started, started = time.thread_time_ns(), time.perf_counter_ns()
+        ours.decide(frame)
+        wall_ns[number] = time.perf_counter_ns() - started
+        cpu_ns[number] = time.thread_time_ns() - cpu_started
+    return wall_ns, cpu_ns
