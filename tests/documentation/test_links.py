@@ -46,6 +46,6 @@ def test_the_index_of_decisions_leads_to_every_decision():
 
 
 def test_every_page_that_the_code_names_exists():
-    sources = [path for folder in ("engine", "service", "tests") for path in (ROOT / folder).rglob("*.py")]
+    sources = [path for folder in ("engine", "service", "lab", "tests") for path in (ROOT / folder).rglob("*.py")]
     named = {(path, page) for path in sources for page in NAMED_PAGE.findall(path.read_text(encoding="utf-8"))}
     assert sorted(f"{path.name}: {page}" for path, page in named if not (ROOT / page).is_file()) == []

@@ -22,6 +22,7 @@ TESTS = (
 )
 COPIED = (
     "engine",
+    "lab",
     "service",
     "migrations",
     "tests",

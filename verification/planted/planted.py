@@ -15,6 +15,7 @@ from tests.support.repository import ROOT
 
 COPIED = (
     "engine",
+    "lab",
     "service",
     "tests",
     "verification",

@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.support.repository import ROOT
 from verification.supply.parts import python_parts
 
-PACKAGES = ("engine", "service", "migrations")
+PACKAGES = ("engine", "service", "lab", "migrations")
 LOCKS = ("requirements.lock", "requirements-cluster.lock", "requirements-dev.lock")
 PATIENCE_S = 300
 
