@@ -117,7 +117,7 @@ scan: $(STAMP)  ## bandit, ruff's security rules, known vulnerabilities of what 
 	$(BIN)/python -m verification.supply.scan
 
 planted: $(STAMP)  ## break each mechanism of docs/2-clinical/safety.md once: the test that it names must fail
-	nice -n 10 $(BIN)/python -m verification.planted.planted
+	nice -n 10 $(BIN)/python -m verification.planted
 documents: $(STAMP)  ## write every part of the documents, of the client and of openapi/ that the code makes
 	@$(BIN)/tidegate openapi --out openapi
 	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done

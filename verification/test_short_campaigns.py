@@ -7,10 +7,10 @@ import pytest
 
 from tests.support.build_cache import run_folder
 from tests.support.repository import ROOT
-from verification.faults.campaign import Bench
+from verification.faults.campaign import FaultBench, Trial
 from verification.faults.kinds import all_kinds, chosen
 from verification.faults.template import learned_once
-from verification.kills.campaign import Bench as KillBench
+from verification.kills.campaign import Kill, KillBench
 
 ALWAYS = frozenset(
     {
@@ -51,19 +51,19 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def benches(tmp_path_factory):
     learned = learned_once(run_folder(tmp_path_factory) / "learned")
-    held = [made(tmp_path_factory.mktemp("campaign"), learned) for made in (Bench, KillBench)]
+    held = [made(tmp_path_factory.mktemp("campaign"), template=learned) for made in (FaultBench, KillBench)]
     yield held
     for one in held:
-        one.clear()
+        one.end()
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=[kind.code for kind in KINDS])
 def test_the_line_is_off_in_time_the_audit_states_why_and_the_beam_comes_back_as_promised(benches, kind):
-    outcome = benches[0].try_kind(kind, seed=0)
+    outcome = benches[0].try_one(Trial(kind.code, 0))
     assert not outcome.is_red, f"{', '.join(outcome.troubles)} after {outcome.off_ms} ms: {outcome.note}"
 
 
 @pytest.mark.parametrize(("number", "code"), list(enumerate(WORST)))
 def test_a_kill_loses_no_transition_and_the_next_start_puts_everything_in_order(benches, number, code):
-    outcome = benches[1].kill(number, 0, code)
+    outcome = benches[1].try_one(Kill(number, 0, code))
     assert not outcome.is_red, f"{', '.join(outcome.troubles)}: {outcome.note}"

@@ -9,6 +9,7 @@ import contextlib
 import importlib
 import py_compile
 import shutil
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -26,6 +27,7 @@ REMOVED = (
     "pyarrow/_orc*",
     "pyarrow/_dataset_orc*",
     "pyarrow/_substrait*",
+    "pyarrow/libarrow_substrait.so*",
     "pyarrow/_pyarrow_cpp_tests*",
     "pyarrow/include",
     "pyarrow/includes",
@@ -50,6 +52,9 @@ REMOVED = (
     "**/*.lib",
     "**/__pycache__",
 )
+STRIP = "/usr/bin/strip"
+STRIPPED = ("typst/_typst.abi3.so",)
+"""Libraries with a table of symbols that nothing reads."""
 KEPT_COMMANDS = ("python", "python3", "python3.11", "tidegate", "tidegate-health")
 
 
@@ -57,7 +62,16 @@ def main() -> None:
     """Do both, and print the sizes."""
     site, commands, *sources = map(Path, sys.argv[1:])
     before = _size_mb(site)
-    own = {source.name for source in sources}
+    _remove(site, own={source.name for source in sources})
+    for command in commands.iterdir():
+        if command.name not in KEPT_COMMANDS:
+            command.unlink()
+    slim = _size_mb(site)
+    compiled = _compile(sources, site)
+    _say(f"{site}: {before} MB, {slim} MB slim, {_size_mb(site)} MB with {compiled} modules compiled")
+
+
+def _remove(site: Path, own: set[str]) -> None:
     for pattern in REMOVED:
         for path in sorted(site.glob(pattern)):
             if path.relative_to(site).parts[0] in own:
@@ -66,12 +80,8 @@ def main() -> None:
                 shutil.rmtree(path)
             elif path.exists():
                 path.unlink()
-    for command in commands.iterdir():
-        if command.name not in KEPT_COMMANDS:
-            command.unlink()
-    slim = _size_mb(site)
-    compiled = _compile(sources, site)
-    _say(f"{site}: {before} MB, {slim} MB slim, {_size_mb(site)} MB with {compiled} modules compiled")
+    for library in filter(Path.exists, (site / name for name in STRIPPED)):
+        subprocess.run([STRIP, "--strip-unneeded", library], check=True)  # noqa: S603 - a file of the build's own
 
 
 def _compile(sources: list[Path], site: Path) -> int:

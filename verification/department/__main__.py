@@ -20,12 +20,12 @@ import typer
 from tests.support.generated_sections import write_parts
 from tests.support.repository import ROOT
 from tests.support.temporary_folder import temporary_root
+from verification.campaign.command_line import WRONG_USAGE, bounded, revision_of_the_code
 from verification.department import costs
 from verification.department.events import Department, Outcome, RoomMeanwhile
 from verification.department.hub import Hub, small_disk
 from verification.department.network import network
 from verification.department.room import Room
-from verification.faults.command_line import WRONG_USAGE, bounded, revision_of_the_code
 from verification.load.recording import base_folder
 
 DOCUMENT = ROOT / "docs/3-operate/department.md"

@@ -1,175 +1,126 @@
-"""The campaign: which trials are to be done, workers that do them side by side, and one place that writes them down."""
+"""The fault campaign: its trials are kinds of faults and seeds; kinds that need the same service share a rig."""
 
+import argparse
 import contextlib
-import multiprocessing
-import os
-import queue
-import signal
-import sys
-import tempfile
-import traceback
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
-from verification.faults.kinds import FaultKind, all_kinds
-from verification.faults.outcomes import OutcomeFile
-from verification.faults.plan import Plan
+from rich.console import Console
+
+from verification.campaign.bench import Bench
+from verification.campaign.command_line import bounded
+from verification.campaign.program import Campaign, source_of
+from verification.faults.document import write_document
+from verification.faults.kinds import FaultKind, all_kinds, chosen
+from verification.faults.plot import draw
 from verification.faults.rig import WORN_MB, Rig, Template
+from verification.faults.table import bound_text, duration_text, exit_code, markdown, rows, terminal_table, troubles
 from verification.faults.template import learned
 from verification.faults.trial import run_trial
 from verification.faults.verdict import Outcome, Recovery, Trouble
 
-FILE_NAME = "outcomes.jsonl"
+MOST_SEEDS = 10_000
 TRIALS_A_TURN = 10
-ATTEMPTS = 2
-"""A rig that broke in a way no one foresaw is replaced, and the trial done once more."""
 
 
-def kept_in(folder: Path) -> OutcomeFile[Outcome]:
-    """Return the campaign's memory."""
-    return OutcomeFile(folder / FILE_NAME, Outcome, lambda outcome: (outcome.kind, outcome.seed))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Turn:
-    """What a worker does at one go: a kind, and some seeds."""
+class Trial(NamedTuple):
+    """A kind of fault, by its code, at a random moment."""
 
     code: str
-    seeds: tuple[int, ...]
+    seed: int
 
 
-def turns(kinds: Sequence[FaultKind], seeds: Sequence[int], done: set[tuple[str, int]]) -> list[Turn]:
-    """Split what is left to do; kinds that need the same service lie side by side."""
-    found = []
-    for kind in sorted(kinds, key=lambda one: one.plan.name):
-        left = [seed for seed in seeds if (kind.code, seed) not in done]
-        found += [
-            Turn(code=kind.code, seeds=tuple(left[at : at + TRIALS_A_TURN]))
-            for at in range(0, len(left), TRIALS_A_TURN)
-        ]
-    return found
+class FaultBench(Bench[Trial, Outcome]):
+    """Breaks a service; one that died though no one killed it is a result."""
+
+    def __init__(self, folder: Path, *, template: Template) -> None:
+        super().__init__(folder)
+        self._template = template
+        self._kinds = {kind.code: kind for kind in all_kinds()}
+
+    def do(self, trial: Trial) -> Outcome:
+        """Do one trial, in a service that is set as its kind needs it."""
+        kind, rig = self._kinds[trial.code], self._rig
+        is_good = rig is not None and rig.plan == kind.plan and rig.worn_mb <= WORN_MB
+        make = partial(Rig, plan=kind.plan, template=self._template)
+        return run_trial(self.rig(make, is_good=is_good), kind, trial.seed)
+
+    def broken(self, trial: Trial, *, is_last: bool) -> Outcome | None:
+        """Say that the service died, or after the last attempt that there is no result."""
+        has_died = self._rig is not None and not self._rig.is_alive
+        if has_died and Recovery.RESTARTED not in self._kinds[trial.code].recoveries:
+            return _failed(trial, Trouble.SERVICE_DIED)
+        return _failed(trial, Trouble.NO_RESULT) if is_last else None
 
 
-def run(work: Sequence[Turn], jobs: int) -> Iterator[Outcome]:
-    """Do all turns with so many rigs side by side; yields outcomes as they come."""
-    if not work:
-        return
-    with tempfile.TemporaryDirectory(prefix="tidegate-faults-") as folder:
-        template = learned(Path(folder) / "template")
-        context = multiprocessing.get_context("spawn")
-        waiting: multiprocessing.Queue[Turn | None] = context.Queue()
-        found: multiprocessing.Queue[Outcome | None] = context.Queue()
-        for turn in [*work, *[None] * jobs]:
-            waiting.put(turn)
-        workers = [
-            context.Process(target=_work, args=(Path(folder) / f"worker-{number}", template, waiting, found))
-            for number in range(jobs)
-        ]
-        for worker in workers:
-            worker.start()
-        try:
-            yield from _collect(workers, found)
-        finally:
-            for worker in workers:
-                worker.terminate()
-                worker.join()
+def _failed(trial: Trial, trouble: Trouble) -> Outcome:
+    return Outcome(kind=trial.code, seed=trial.seed, off_ms=None, troubles=(trouble,), reported=(), recovery="")
 
 
-def _collect(
-    workers: Sequence[multiprocessing.Process], found: "multiprocessing.Queue[Outcome | None]"
-) -> Iterator[Outcome]:
-    left = len(workers)
-    while left:
-        try:
-            outcome = found.get(timeout=5.0)
-        except queue.Empty:
-            if not any(worker.is_alive() for worker in workers):
-                return  # they died without a word: what they did not do is missing in the table
-            continue
-        if outcome is None:
-            left -= 1
-        else:
-            yield outcome
+class FaultCampaign(Campaign[Trial, Outcome]):
+    """Every kind of fault, so many times."""
+
+    name = "faults"
+    kind = Outcome
+    needs_root = True
+
+    def add_options(self, parser: argparse.ArgumentParser) -> None:
+        """Add kinds and seeds."""
+        parser.add_argument("--seeds", type=bounded(1, MOST_SEEDS), default=40)
+        parser.add_argument("--first-seed", type=bounded(0, MOST_SEEDS), default=1)
+        parser.add_argument("--kinds", default="", help="codes, comma-separated; all when left out")
+        parser.add_argument("--write", action="store_true", help="put table and picture into docs/5-evidence/faults.md")
+
+    def trials(self, asked: argparse.Namespace) -> list[Trial]:
+        """Return every seed of every kind."""
+        return [Trial(kind.code, seed) for kind in _kinds(asked) for seed in _seeds(asked)]
+
+    def key_of(self, outcome: Outcome) -> Trial:
+        """Return kind and seed."""
+        return Trial(outcome.kind, outcome.seed)
+
+    def turns(self, trials: Sequence[Trial]) -> list[Sequence[Trial]]:
+        """Give a worker some seeds of a kind; kinds that need the same service lie side by side."""
+        found: list[Sequence[Trial]] = []
+        for kind in sorted(all_kinds(), key=lambda one: one.plan.name):
+            own = [one for one in trials if one.code == kind.code]
+            found += [own[at : at + TRIALS_A_TURN] for at in range(0, len(own), TRIALS_A_TURN)]
+        return found
+
+    @contextlib.contextmanager
+    def benches(self, asked: argparse.Namespace, folder: Path) -> Iterator[Callable[[Path], FaultBench]]:
+        """Learn the volunteer once for all."""
+        yield partial(FaultBench, template=learned(folder / "template"))
+
+    def label(self, outcome: Outcome) -> str:
+        """Name kind and seed."""
+        return f"{outcome.kind} seed {outcome.seed}"
+
+    def report(self, console: Console, outcomes: Sequence[Outcome], asked: argparse.Namespace) -> int:
+        """Print and write the table; 0 where every cell is as promised."""
+        kinds, seeds = _kinds(asked), _seeds(asked)
+        table = rows(kinds, outcomes, wanted=len(seeds))
+        console.print(terminal_table(table))
+        for line in troubles(table):
+            console.print(line, style="red", markup=False)
+        (asked.out / "table.md").write_text(markdown(table))
+        draw(table, asked.out / "times.png")
+        unsafe = sum(row.unsafe for row in table)
+        bound = bound_text(unsafe, len(outcomes))
+        if asked.write:
+            first = f" (first seed {seeds[0]})" if seeds[0] != 1 else ""
+            write_document(table, reported=source_of(f"make faults SEEDS={len(seeds)}{first}", outcomes) + bound)
+        verdict = f"{len(outcomes)} faults of {len(kinds)} kinds: {unsafe} unsafe{bound}"
+        console.print(verdict, style="red" if exit_code(table) else "green")
+        console.print(duration_text(outcomes, asked.jobs))
+        return exit_code(table)
 
 
-def _work(
-    folder: Path,
-    template: Template,
-    waiting: "multiprocessing.Queue[Turn | None]",
-    found: "multiprocessing.Queue[Outcome | None]",
-) -> None:
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is mounted and started is let go of
-    _write_noise_to(folder.with_suffix(".log"))
-    kinds = {kind.code: kind for kind in all_kinds()}
-    bench = Bench(folder, template)
-    try:
-        while (turn := waiting.get()) is not None:
-            for seed in turn.seeds:
-                found.put(bench.try_kind(kinds[turn.code], seed))
-    finally:
-        bench.clear()
-        found.put(None)
+def _kinds(asked: argparse.Namespace) -> tuple[FaultKind, ...]:
+    return chosen(asked.kinds.split(",")) if asked.kinds else all_kinds()
 
 
-def _write_noise_to(path: Path) -> None:
-    """Keep what the processes of this worker say of their troubles, which are made on purpose, off the screen."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab") as log:
-        os.dup2(log.fileno(), sys.stderr.fileno())
-
-
-class Bench:
-    """One worker's place: one rig at a time, kept for as long as it is good for the next trial."""
-
-    def __init__(self, folder: Path, template: Template) -> None:
-        self._folder, self._template = folder, template
-        self._held = contextlib.ExitStack()
-        self._rig: Rig | None = None
-        self._number = 0
-
-    def try_kind(self, kind: FaultKind, seed: int) -> Outcome:
-        """Run one trial; where a rig breaks it is thrown away, the trial done again, once, and the first's story kept.
-
-        A service that died though no one killed it is a result.
-        """
-        stories: list[str] = []
-        for _ in range(ATTEMPTS):
-            try:
-                outcome = run_trial(self._rig_for(kind.plan), kind, seed)
-            except Exception:  # noqa: BLE001 - whatever broke, the next trial has to go on
-                stories.append(traceback.format_exc(limit=-3))
-                has_died = self._rig is not None and not self._rig.is_alive
-                self.clear()
-                if has_died and Recovery.RESTARTED not in kind.recoveries:
-                    return _failed(kind, seed, Trouble.SERVICE_DIED, stories)
-            else:
-                if outcome.is_red:
-                    self.clear()
-                return replace(outcome, note="\n".join([*stories, outcome.note]).strip())
-        return _failed(kind, seed, Trouble.NO_RESULT, stories)
-
-    def clear(self) -> None:
-        self._rig = None
-        self._held.close()
-        self._held = contextlib.ExitStack()
-
-    def _rig_for(self, plan: Plan) -> Rig:
-        rig = self._rig
-        if rig is not None and (rig.plan != plan or rig.worn_mb > WORN_MB):
-            self.clear()
-            rig = None
-        if rig is None:
-            self._number += 1
-            rig = Rig(self._folder / str(self._number), plan, self._template)
-            self._rig = self._held.enter_context(rig)
-        return rig
-
-
-def _failed(kind: FaultKind, seed: int, trouble: Trouble, stories: list[str]) -> Outcome:
-    note = "\n".join(stories)
-    return Outcome(kind=kind.code, seed=seed, off_ms=None, troubles=(trouble,), reported=(), recovery="", note=note)
-
-
-def stamped(outcome: Outcome, revision: str) -> Outcome:
-    return replace(outcome, revision=revision)
+def _seeds(asked: argparse.Namespace) -> range:
+    return range(asked.first_seed, asked.first_seed + asked.seeds)

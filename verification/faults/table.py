@@ -16,6 +16,8 @@ HEAD = (
     *("reason", "recovers", "stood still: worst ms", "missed"),
 )
 RED = "white on red"
+LONG_SEEDS = 40
+"""Seeds of a whole campaign, for which the duration is said."""
 
 
 class Kind(Protocol):
@@ -143,3 +145,18 @@ def _counted(names: Iterable[str]) -> str:
     if len(found) == 1:
         return found[0][0]
     return ", ".join(f"{name} {count}" for name, count in found) or "-"
+
+
+def bound_text(unsafe: int, trials: int) -> str:
+    """Say how many unsafe ones could still be among as many faults as these: the rule of three."""
+    return f", 0 of {trials}: below {100.0 * 3.0 / trials:.2g} % at 95 %" if unsafe == 0 and trials > 0 else ""
+
+
+def duration_text(outcomes: Sequence[Outcome], jobs: int) -> str:
+    """Say how long the trials took, and `LONG_SEEDS` seeds would take here."""
+    kinds = {outcome.kind for outcome in outcomes}
+    if not outcomes:
+        return "no trial"
+    each_s = sum(outcome.seconds for outcome in outcomes) / len(outcomes)
+    hours = each_s * LONG_SEEDS * len(kinds) / jobs / 3600.0
+    return f"{each_s:.1f} s a trial: {LONG_SEEDS} seeds of these {len(kinds)} kinds take {hours:.1f} h with {jobs} jobs"

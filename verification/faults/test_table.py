@@ -9,13 +9,13 @@ import pytest
 from rich.console import Console
 
 from tests.support.generated_sections import CAMPAIGN, part_of
-from verification.faults.__main__ import bound_text, duration_text
-from verification.faults.campaign import Turn, kept_in, turns
+from verification.campaign.outcomes import OtherRevisionError, refuse_other_revision
+from verification.campaign.program import left_of
+from verification.faults.campaign import FaultCampaign, Trial
 from verification.faults.document import DOCUMENT, write_document
 from verification.faults.kinds import all_kinds, chosen
-from verification.faults.outcomes import OtherRevisionError, refuse_other_revision
 from verification.faults.plot import draw
-from verification.faults.table import exit_code, markdown, rows, terminal_table, troubles
+from verification.faults.table import bound_text, duration_text, exit_code, markdown, rows, terminal_table, troubles
 from verification.faults.verdict import Outcome, Trouble
 from verification.kills.document import DOCUMENT as KILLS
 
@@ -104,14 +104,14 @@ def test_the_documents_of_this_repository_have_their_marks_around_what_is_writte
 
 
 def test_outcomes_are_read_as_they_were_written(tmp_path):
-    file = kept_in(tmp_path)
+    file = FaultCampaign().kept_in(tmp_path)
     for one in GOOD:
         file.append(one)
     assert file.read() == GOOD
 
 
 def test_a_line_that_was_cut_short_is_done_again_and_nothing_else_lost(tmp_path):
-    file = kept_in(tmp_path)
+    file = FaultCampaign().kept_in(tmp_path)
     file.append(GOOD[0])
     with file.path.open("a") as half:
         half.write(json.dumps(GOOD[1].to_json())[:40])
@@ -121,7 +121,7 @@ def test_a_line_that_was_cut_short_is_done_again_and_nothing_else_lost(tmp_path)
 
 
 def test_a_trial_done_again_counts_once_as_it_came_last(tmp_path):
-    file = kept_in(tmp_path)
+    file = FaultCampaign().kept_in(tmp_path)
     file.append(outcome("killed", 1, Trouble.NO_RESULT))
     file.append(outcome("killed", 1))
     assert file.read() == [outcome("killed", 1)]
@@ -134,11 +134,12 @@ def test_outcomes_of_another_state_of_the_code_are_refused():
 
 
 def test_what_is_done_is_not_done_again_and_the_rest_in_turns_of_ten():
-    done = {("killed", seed) for seed in range(1, 16)}
-    found = turns(chosen(["killed"]), range(1, 41), done)
-    assert [len(turn.seeds) for turn in found] == [10, 10, 5]
-    assert found[0] == Turn(code="killed", seeds=tuple(range(16, 26)))
-    assert turns(chosen(["killed"]), range(1, 16), done) == []
+    campaign, trials = FaultCampaign(), [Trial("killed", seed) for seed in range(1, 41)]
+    left = left_of(campaign, trials, [outcome("killed", seed) for seed in range(1, 16)])
+    found = campaign.turns(left)
+    assert [len(turn) for turn in found] == [10, 10, 5]
+    assert found[0] == trials[15:25]
+    assert campaign.turns([]) == []
 
 
 def test_there_are_more_kinds_than_were_asked_for_and_each_states_what_it_promises():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_MS
 from engine.core.gate_state import HoldReason
-from verification.faults.outcomes import TrialOutcome
+from verification.campaign.outcomes import TrialOutcome
 
 REASONS = {reason.value for reason in HoldReason} - {HoldReason.DWELL.value}
 FAULTS = {reason.value for reason in HoldReason if reason.is_fault}

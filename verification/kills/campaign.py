@@ -1,140 +1,136 @@
-"""The campaign: kills side by side, each worker with a rig of its own, and one place that writes them down."""
+"""The kill campaign: its trials are numbers, of which each and the seed say the moment of the kill."""
 
+import argparse
 import contextlib
-import ctypes
-import multiprocessing
-import os
-import signal
-import sys
-import tempfile
-import traceback
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass, replace
-from multiprocessing.util import Finalize
+import json
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
+from rich.console import Console
 from sqlalchemy import URL
 
 from tests.support.database.postgres import PostgresServer
-from verification.faults.outcomes import OutcomeFile
+from verification.campaign.bench import Bench
+from verification.campaign.command_line import bounded
+from verification.campaign.program import Campaign, source_of
 from verification.faults.rig import WORN_MB, Template
-from verification.faults.service_program import DIES_WITH_ITS_PARENT
 from verification.faults.template import learned
-from verification.kills.moments import moment_of
+from verification.kills.document import write_document
+from verification.kills.moments import MOMENTS, moment_of
 from verification.kills.rig import KillRig
+from verification.kills.table import draw, markdown, summary, terminal_table
 from verification.kills.trial import run_trial
 from verification.kills.verdict import Outcome, Trouble
 
-FILE_NAME = "kills.jsonl"
+POSTGRESQL = "postgresql"
 STARTING = "starting"
-ATTEMPTS = 2
-"""A rig that broke in a way no one foresaw is replaced, and the kill done once more; the first's story is kept."""
+MOST_KILLS, MOST_SEED = 100_000, 10**9
 
 
-def kept_in(folder: Path) -> OutcomeFile[Outcome]:
-    """Return the campaign's memory."""
-    return OutcomeFile(folder / FILE_NAME, Outcome, lambda outcome: outcome.number)
+class Kill(NamedTuple):
+    """A kill: number and seed say the moment, unless its code is given."""
+
+    number: int
+    seed: int
+    code: str | None = None
 
 
-class Bench:
-    """One worker's place: one rig at a time, kept for as long as it is good for the next kill."""
+class KillBench(Bench[Kill, Outcome]):
+    """Kills a service, on SQLite or on PostgreSQL."""
 
-    def __init__(self, folder: Path, template: Template, *, is_postgresql: bool = False) -> None:
-        self._folder, self._template = folder, template
+    def __init__(self, folder: Path, *, template: Template, is_postgresql: bool = False) -> None:
+        super().__init__(folder)
+        self._template = template
         self._server = PostgresServer() if is_postgresql else None
-        self._held = contextlib.ExitStack()
-        self._rig: KillRig | None = None
-        self._rigs = 0
 
-    def kill(self, number: int, seed: int, code: str | None = None) -> Outcome:
-        """Do one kill of the campaign."""
-        moment = moment_of(number, seed, code)
-        if moment.is_fresh and self._server is not None:
-            moment = moment_of(number, seed, STARTING)  # the first start of all is SQLite's: it makes the file
-        stories: list[str] = []
-        for _ in range(ATTEMPTS):
-            try:
-                outcome = run_trial(self._a_rig(), moment, number, seed)
-            except Exception:  # noqa: BLE001 - whatever broke, the next kill has to go on
-                stories.append(traceback.format_exc(limit=-3))
-                self.clear()
-            else:
-                if outcome.is_red:
-                    self.clear()
-                return replace(outcome, note="\n".join([*stories, outcome.note]).strip())
-        return Outcome(number=number, moment=moment.code, troubles=(Trouble.NO_RESULT,), note="\n".join(stories))
+    def do(self, trial: Kill) -> Outcome:
+        """Do one kill."""
+        moment = moment_of(*trial)
+        if moment.is_fresh and self._server is not None:  # the first start of all is SQLite's: it makes the file
+            moment = moment_of(trial.number, trial.seed, STARTING)
+        is_good = self._rig is not None and self._rig.worn_mb <= WORN_MB
+        return run_trial(self.rig(self._made, is_good=is_good), moment, trial.number, trial.seed)
 
-    def clear(self) -> None:
-        """Let go of everything that was started and mounted."""
-        self._rig = None
-        held, self._held = self._held, contextlib.ExitStack()
-        held.close()
+    def broken(self, trial: Kill, *, is_last: bool) -> Outcome | None:
+        """Say after the last attempt that there is no result."""
+        if not is_last:
+            return None
+        return Outcome(number=trial.number, moment=moment_of(*trial).code, troubles=(Trouble.NO_RESULT,))
 
     def end(self) -> None:
         """Let go of everything, the server too."""
-        self.clear()
+        super().end()
         if self._server is not None:
             self._server.close()
 
-    def _a_rig(self) -> KillRig:
-        if self._rig is not None and self._rig.worn_mb > WORN_MB:
-            self.clear()
-        if self._rig is None:
-            self._rigs += 1
-            url = None if self._server is None else _plain(self._server.empty())
-            self._rig = self._held.enter_context(KillRig(self._folder / str(self._rigs), self._template, url))
-        return self._rig
+    def _made(self, folder: Path) -> KillRig:
+        return KillRig(folder, self._template, None if self._server is None else _plain(self._server.empty()))
 
 
 def _plain(url: URL) -> str:
     return url.set(drivername="postgresql").render_as_string(hide_password=False)
 
 
-@dataclass(slots=True)
-class _Worker:
-    """What a worker process has; one a process, made when it begins."""
+class KillCampaign(Campaign[Kill, Outcome]):
+    """So many kills at the moments of a seed; the first red one ends it."""
 
-    bench: Bench
+    name = "kills"
+    kind = Outcome
+    needs_root = True
+    is_over_at_red = True
 
+    def add_options(self, parser: argparse.ArgumentParser) -> None:
+        """Add how many, of which seed, on which database."""
+        parser.add_argument("--moments", type=bounded(1, MOST_KILLS), default=200, help="how many kills")
+        parser.add_argument("--seed", type=bounded(0, MOST_SEED), default=1)
+        parser.add_argument("--database", choices=["sqlite", POSTGRESQL], default="sqlite")
+        parser.add_argument("--moment", choices=[moment.code for moment in MOMENTS], help="this one alone")
+        parser.add_argument("--write", action="store_true", help="put table and picture into docs/5-evidence/kills.md")
 
-_workers: list[_Worker] = []
+    def trials(self, asked: argparse.Namespace) -> list[Kill]:
+        """Return the kills."""
+        return [Kill(number, asked.seed, asked.moment) for number in range(asked.moments)]
 
+    def key(self, trial: Kill) -> int:
+        """Return the number."""
+        return trial.number
 
-def run(
-    numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None, is_postgresql: bool = False
-) -> Iterator[Outcome]:
-    """Do these kills with this many rigs in parallel; yield outcomes as they come. Closing the generator ends them."""
-    if not numbers:
-        return
-    with tempfile.TemporaryDirectory(prefix="tidegate-kills-") as folder:
-        template = learned(Path(folder) / "template")
-        context = multiprocessing.get_context("spawn")
-        begin = (_begin, (folder, template, is_postgresql))
-        with ProcessPoolExecutor(jobs, mp_context=context, initializer=begin[0], initargs=begin[1]) as pool:
-            waiting = list(numbers)
-            running: set[Future[Outcome]] = set()
-            try:
-                while waiting or running:
-                    while waiting and len(running) < jobs:
-                        running.add(pool.submit(_kill, waiting.pop(0), seed, code))
-                    done, running = wait(running, return_when=FIRST_COMPLETED)
-                    yield from (one.result() for one in done)
-            finally:
-                waiting.clear()
+    def key_of(self, outcome: Outcome) -> int:
+        """Return the number."""
+        return outcome.number
 
+    def is_done(self, outcome: Outcome) -> bool:
+        """A kill without a result is done again."""
+        return outcome.troubles != (Trouble.NO_RESULT,)
 
-def _begin(folder: str, template: Template, is_postgresql: bool) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked ends the campaign; a kill that began is finished
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(DIES_WITH_ITS_PARENT, signal.SIGKILL)
-    place = Path(folder) / f"worker-{os.getpid()}"
-    with place.with_suffix(".log").open("ab") as log:
-        os.dup2(log.fileno(), sys.stderr.fileno())
-    bench = Bench(place, template, is_postgresql=is_postgresql)
-    Finalize(bench, bench.end, exitpriority=10)  # a worker ends without running what atexit knows
-    _workers[:] = [_Worker(bench=bench)]
+    @contextlib.contextmanager
+    def benches(self, asked: argparse.Namespace, folder: Path) -> Iterator[Callable[[Path], KillBench]]:
+        """Learn the volunteer once for all."""
+        is_postgresql = asked.database == POSTGRESQL
+        yield partial(KillBench, template=learned(folder / "template"), is_postgresql=is_postgresql)
 
+    def label(self, outcome: Outcome) -> str:
+        """Name the moment and the number."""
+        return f"{outcome.moment} number {outcome.number}"
 
-def _kill(number: int, seed: int, code: str | None) -> Outcome:
-    return _workers[0].bench.kill(number, seed, code)
+    def report(self, console: Console, outcomes: Sequence[Outcome], asked: argparse.Namespace) -> int:
+        """Print and write the table; 0 where no kill is red or missing."""
+        if not outcomes:
+            return 1
+        kept = sorted(outcomes, key=lambda outcome: outcome.number)
+        console.print(terminal_table(kept))
+        found = summary(kept)
+        console.print(", ".join(f"{name} {value}" for name, value in found.items()))
+        (asked.out / "table.md").write_text(markdown(kept))
+        (asked.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+        draw(kept, asked.out / "kills.png")
+        if asked.write:
+            other = "" if asked.database != POSTGRESQL else f" DATABASE={POSTGRESQL}"
+            write_document(
+                kept, reported=source_of(f"make kills MOMENTS={asked.moments} SEED={asked.seed}{other}", kept)
+            )
+        is_green = len(kept) == asked.moments and not any(outcome.is_red for outcome in kept)
+        console.print(f"{len(kept)} of {asked.moments} kills, {found['red']} red", style="green" if is_green else "red")
+        return 0 if is_green else 1

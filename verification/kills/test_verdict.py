@@ -6,7 +6,7 @@ import pytest
 
 from engine.core.clock import NS_PER_MS
 from verification.faults.verdict import LineEdge
-from verification.kills.campaign import kept_in
+from verification.kills.campaign import KillCampaign
 from verification.kills.verdict import (
     Evidence,
     Outcome,
@@ -167,7 +167,10 @@ def test_what_hurts_is_distinguished_from_what_is_only_wrong():
 
 
 def test_kills_are_read_as_they_were_written_and_what_is_no_kill_is_passed_over(tmp_path):
-    file, kill = kept_in(tmp_path), Outcome(number=3, moment="ready", troubles=("the line never went off",), off_ms=2.0)
+    file, kill = (
+        KillCampaign().kept_in(tmp_path),
+        Outcome(number=3, moment="ready", troubles=("the line never went off",), off_ms=2.0),
+    )
     file.append(kill)
     with file.path.open("a") as other:
         other.write('12\n[]\n{"number": 4}\n{"number": 5, "mom')

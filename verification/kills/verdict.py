@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_MS, NS_PER_S
+from verification.campaign.outcomes import TrialOutcome
 from verification.faults.kinds import RECEIVER_MS
-from verification.faults.outcomes import TrialOutcome
 from verification.faults.verdict import LineEdge, is_on_at
 
 REPORTED_WITHIN_NS = 300 * NS_PER_MS

@@ -24,7 +24,7 @@ from engine.qa.drill import DRILLS, drill_line
 from engine.qa.inputs import BeamInput
 from engine.qa.results import QaFigure
 from tests.support.beam.receivers import drilled_part, receiver
-from verification.faults.command_line import bounded, revision_of_the_code
+from verification.campaign.command_line import bounded, revision_of_the_code
 
 KINDS = ("simulated", "tcp", "rtu", "lcus", "lcus-text", "numato")
 PULSE_MS = 200.0

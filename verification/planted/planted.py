@@ -1,13 +1,8 @@
-"""Breaks each mechanism of the table once, in a copy of the sources, and runs the test that safety.md names for it.
-
-Run: ``make planted``. A test that passes with its mechanism broken proves nothing: the command lists it and
-ends with 1.
-"""
+"""The mechanisms that are broken, one at a time, in a copy of the sources; each with the test that must fail."""
 
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -409,23 +404,6 @@ PLANTED: tuple[Planted, ...] = (
 )
 
 
-def main() -> int:
-    """Plant one after the other, print a line for each; return 1 if a test passed, or did not run."""
-    survivors = 0
-    with tempfile.TemporaryDirectory(prefix="planted-") as folder:
-        copy = copied(Path(folder))
-        for number, one in enumerate(PLANTED, start=1):
-            outcome = outcome_of(one, copy)
-            survivors += outcome != "fails"
-            _tell(f"{number:2} of {len(PLANTED)}  {outcome:8}  {one.what}  ({one.file}; {one.test})")
-    _tell(f"{len(PLANTED) - survivors} of {len(PLANTED)} tests fail without their mechanism")
-    return 1 if survivors else 0
-
-
-def _tell(text: str) -> None:
-    print(text, flush=True)  # noqa: T201 - it is what the command is for
-
-
 def copied(folder: Path) -> Path:
     """Copy what the tests need; return the folder."""
     for name in COPIED:
@@ -456,7 +434,3 @@ def broken(one: Planted, whole: str) -> str:
     if one.old not in whole:
         raise ValueError(f"{one.file} no longer has what is broken there: {one.old}")
     return whole.replace(one.old, one.new, 1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,7 @@ from tests.support.repository import ROOT
 
 WRONG_USAGE = 2
 MOST_JOBS = 16
-RUN_FOLDERS = ("engine", "service", "migrations", "verification/faults", "tests/support")
+RUN_FOLDERS = ("engine", "service", "lab", "migrations", "verification", "tests/support")
 
 
 def bounded(low: int, high: int) -> Callable[[str], int]:
