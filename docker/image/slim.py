@@ -27,7 +27,6 @@ REMOVED = (
     "pyarrow/_orc*",
     "pyarrow/_dataset_orc*",
     "pyarrow/_substrait*",
-    "pyarrow/libarrow_substrait.so*",
     "pyarrow/_pyarrow_cpp_tests*",
     "pyarrow/include",
     "pyarrow/includes",
