@@ -41,7 +41,7 @@ $(BIN)/uv: requirements-dev.lock
 	@touch $@
 
 # What runs: the packages of the room's lock, Tidegate itself, and the lab beside it.
-$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py lab/pyproject.toml lab/setup.py $(wildcard engine/core/compiled/*.[ch])
+$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py lab/pyproject.toml $(wildcard engine/core/compiled/*.[ch])
 	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements.lock
 	@echo "Compiling the frame path"
 	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .

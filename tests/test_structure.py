@@ -206,3 +206,11 @@ def test_every_package_and_every_folder_of_documents_has_a_budget():
     assert BUDGETS["words"].keys() == {
         f"docs/{path.name}" for path in (ROOT / "docs").iterdir() if words_of(f"docs/{path.name}")
     }
+
+
+def test_the_lab_s_wheel_has_every_package_of_it():
+    packages = tomllib.loads((ROOT / "lab/pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"][
+        "packages"
+    ]
+    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "lab").rglob("__init__.py")}
+    assert set(packages) == {".".join(folder.parts) for folder in folders}
