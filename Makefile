@@ -153,6 +153,7 @@ lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(PIP_COMPILE) -o requirements.lock pyproject.toml
 	$(PIP_COMPILE) --extra cluster -c requirements.lock -o requirements-cluster.lock pyproject.toml
 	$(PIP_COMPILE) --extra realsense -c requirements.lock -o requirements-cameras.lock pyproject.toml
+	echo matplotlib | $(PIP_COMPILE) -c requirements.lock --unsafe-package numpy -o requirements-lab.lock -
 	$(PIP_COMPILE) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
 	$(PIP_COMPILE) -o tests/client_generator.lock tests/client_generator.in
 clean:  ## remove what was built, keep recordings

@@ -425,7 +425,6 @@ class Hello(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration", "device calibration"] | None]
     calibration_warning: NotRequired[str | None]
     camera_fps: NotRequired[float | None]
-    encoding: Literal["json", "msgpack"]
     form: Literal["full", "thin"]
     ping_s: float
     rate_hz: NotRequired[float | None]

@@ -52,7 +52,7 @@ class QaArchive:
                 raise QaStateError(msg, field="status", value=detail.status, bound="finished")
             row = queries.run_row(db, run_id)
             trends = [views.trend_answer(db, one.code, TREND_RUNS, before=row) for one in detail.results]
-        # Imported on demand: matplotlib takes a fifth of the service's start time.
+        # Imported on demand: most services print none.
         from service.qa.report.report import report_pdf
 
         return report_pdf(detail, trends)

@@ -78,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--dashboards", type=int, default=200, help="clients on the stream")
     parser.add_argument("--events", type=int, default=0, help="so many of them get server-sent events")
     parser.add_argument("--stalled", type=int, default=0, help="so many of them never read")
-    parser.add_argument("--stream", default="", help="query of the stream, as in form=thin&encoding=msgpack")
+    parser.add_argument("--stream", default="", help="query of the stream, as in form=thin")
     parser.add_argument("--requests-per-s", type=float, default=50.0)
     parser.add_argument("--export", choices=("csv", "arrow"), default="csv")
     parser.add_argument("--no-export", action="store_true")

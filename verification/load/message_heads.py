@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-import msgpack
-
 LOOKED_AT_BYTES = 4096
 TYPE = re.compile(rb'"type":\s*"(\w+)"')
 NUMBERS = {
@@ -39,13 +37,8 @@ class Head:
         return None if self.made_s is None else 1e3 * (time.time() - self.made_s)
 
 
-def read_head(payload: bytes, *, is_text: bool) -> Head:
-    """Read what is needed of a message in JSON or in msgpack."""
-    said = _of_json(payload) if is_text else msgpack.unpackb(payload)
-    return _head(said)
-
-
-def _of_json(payload: bytes) -> dict[str, Any]:
+def read_head(payload: bytes) -> Head:
+    """Read what is needed of a message."""
     kind = TYPE.search(payload, 0, 64) or TYPE.search(payload)
     said: dict[str, Any] = {"type": kind[1].decode() if kind else "none"}
     for name, pattern in NUMBERS.items():
@@ -53,10 +46,6 @@ def _of_json(payload: bytes) -> dict[str, Any]:
             said[name] = float(found[1])
     if sent := SENT_AT.search(payload, 0, LOOKED_AT_BYTES):
         said["sent_at"] = sent[1].decode()
-    return said
-
-
-def _head(said: dict[str, Any]) -> Head:
     sent, age_ms = said.get("sent_at"), said.get("age_ms")
     made_s = None if sent is None or age_ms is None else _wall_s(sent) - float(age_ms) / 1e3
     return Head(
@@ -68,10 +57,8 @@ def _head(said: dict[str, Any]) -> Head:
     )
 
 
-def _wall_s(sent: object) -> float:
-    if isinstance(sent, str):
-        return datetime.fromisoformat(sent).astimezone(UTC).timestamp()
-    return sent.timestamp() if isinstance(sent, datetime) else msgpack.Timestamp.to_unix(sent)
+def _wall_s(sent: str) -> float:
+    return datetime.fromisoformat(sent).astimezone(UTC).timestamp()
 
 
 def _whole(value: object) -> int | None:

@@ -177,7 +177,7 @@ def test_the_head_of_a_message_is_read_without_the_rest(blank):
         f'{{"type":{blank}"sample","sequence":{blank}17,"sent_at":{blank}"2026-11-21T03:00:00.123Z",'
         f'"age_ms":{blank}4.1,"session_id":"x","frame_index":{blank}512,"timestamp_us":1, and then no JSON at all'
     )
-    head = read_head(text.encode(), is_text=True)
+    head = read_head(text.encode())
     assert (head.kind, head.sequence, head.frame_index) == ("sample", 17, 512)
     assert head.made_s == pytest.approx(1795230000.1189, rel=0.0, abs=1e-4)
 

@@ -53,10 +53,10 @@ class Newest:
         self._payload = b""
         self._head = Head(kind="none")
 
-    def head_of(self, payload: bytes, *, is_text: bool) -> Head:
+    def head_of(self, payload: bytes) -> Head:
         """Read a message's head; the same bytes are read once."""
         if payload != self._payload:
-            self._payload, self._head = payload, read_head(payload, is_text=is_text)
+            self._payload, self._head = payload, read_head(payload)
             if self._head.frame_index is not None:
                 self.frame_index = max(self.frame_index, self._head.frame_index)
         return self._head
@@ -135,7 +135,7 @@ class Watcher(asyncio.Protocol):
 
     def _take_frame(self, opcode: int, payload: bytes) -> None:
         if opcode in {TEXT, BINARY}:
-            self._take(payload, is_text=opcode == TEXT)
+            self._take(payload)
         elif opcode == PING and self._transport is not None:
             # A mask of zeros is a mask: what it masks stays as it is.
             self._transport.write(bytes((0x80 | PONG, 0x80 | len(payload))) + bytes(4) + payload)
@@ -149,10 +149,10 @@ class Watcher(asyncio.Protocol):
         for event in whole:
             at = event.find(b"data: ")
             if at >= 0:
-                self._take(event[at + 6 :], is_text=True)
+                self._take(event[at + 6 :])
 
-    def _take(self, payload: bytes, *, is_text: bool) -> None:
-        head, seen = self._newest.head_of(payload, is_text=is_text), self.seen
+    def _take(self, payload: bytes) -> None:
+        head, seen = self._newest.head_of(payload), self.seen
         if head.kind != "sample":
             seen.other[head.kind] += 1
             seen.skipped_reported += head.skipped

@@ -28,8 +28,5 @@ if TYPE_CHECKING:
         find_plate_steps as find_plate_steps,
         read_plate as read_plate,
     )
-    from engine.calibration.procedures.residual_plot import (
-        draw_residuals as draw_residuals,
-    )
 
 __getattr__, __all__ = lazy_door(__name__)

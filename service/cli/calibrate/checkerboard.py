@@ -49,8 +49,9 @@ def checkerboard(
 
     Pictures of one board pose are matched by name, or by order if no names are equal.
     """
-    from engine.calibration.procedures import Board, calibrate, draw_residuals, list_pictures, match_pictures
+    from engine.calibration.procedures import Board, calibrate, list_pictures, match_pictures
     from engine.core.errors import InvalidValueError, TidegateError
+    from service.cli.calibrate.residuals import draw_residuals
 
     try:
         board = Board(columns=columns, rows=rows, square_mm=square_mm)

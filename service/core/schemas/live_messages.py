@@ -39,7 +39,6 @@ class Hello(Message):
     room: str | None = Field(default=None, description="The room's name, `TIDEGATE_ROOM`; left out without one")
     sent_at: AwareDatetime
     form: Literal["full", "thin"] = Field(description="Requested form of the samples")
-    encoding: Literal["json", "msgpack"] = Field(description="Requested encoding; always `json` for server-sent events")
     rate_hz: float | None = Field(default=None, description="Requested rate; left out for the camera's rate")
     camera_fps: float | None = Field(default=None, description="Frame rate of the running session's camera, if known")
     session_id: str | None = Field(default=None, description="Id of the running session")

@@ -1,8 +1,7 @@
 """Colours and marks of a QA report; the marks are distinguishable in black and white."""
 
 from dataclasses import dataclass
-
-from matplotlib.axes import Axes
+from typing import Literal
 
 from service.qa.schemas import Verdict
 
@@ -18,25 +17,15 @@ class Look:
     word: str
     color: str
     pale: str
-    marker: str
+    marker: Literal["circle", "triangle", "square"]
     is_solid: bool
 
 
 LOOKS: dict[Verdict, Look] = {
-    "pass": Look(word="PASS", color="#0b6b4f", pale="#ffffff", marker="o", is_solid=False),
-    "warn": Look(word="WARN", color="#9a5b00", pale="#fff0d0", marker="^", is_solid=False),
-    "fail": Look(word="FAIL", color="#a3140c", pale="#a3140c", marker="s", is_solid=True),
+    "pass": Look(word="PASS", color="#0b6b4f", pale="#ffffff", marker="circle", is_solid=False),
+    "warn": Look(word="WARN", color="#9a5b00", pale="#fff0d0", marker="triangle", is_solid=False),
+    "fail": Look(word="FAIL", color="#a3140c", pale="#a3140c", marker="square", is_solid=True),
 }
-
-
-def plain_axes(panel: Axes, title: str, *, size: float, is_bold: bool = False) -> None:
-    """Style the axes of a panel and set its title."""
-    panel.spines[["top", "right"]].set_visible(False)
-    for side in ("left", "bottom"):
-        panel.spines[side].set_color(SOFT)
-        panel.spines[side].set_linewidth(0.6)
-    panel.tick_params(labelsize=5.8, colors=SOFT, width=0.6, length=2.5, pad=1.5)
-    panel.set_title(title, fontsize=size, loc="left", color=INK, pad=4.0, fontweight="bold" if is_bold else "normal")
 
 
 def number(value: float | None, unit: str = "") -> str:

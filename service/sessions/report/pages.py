@@ -1,21 +1,17 @@
 """The report's pages: one list of sections, typeset as PDF by typst, and written as HTML; the same numbers in both."""
 
 import html
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.resources import files
-
-import typst
 
 from service.core.schemas.reports import Range, SessionReport
+from service.core.typeset import typeset
 from service.sessions.report.picture import trace_svg
 from service.sessions.report.reports import StoredReport
 
 NONE = "\N{EN DASH}"
 NOTE = "Research and commissioning only; not cleared for clinical use. Times of permitted beam are not a dose."
-TEMPLATE = "report.typ"
 DIFFERS = "This is not what was signed, or not what the audit has"
 _STYLE = (
     "body{font:15px/1.4 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#131a20}h1{font-size:1.5em}"
@@ -51,16 +47,7 @@ def report_pdf(stored: StoredReport) -> bytes:
             for one in sections(report)
         ],
     }
-    template = files("service.sessions.report").joinpath(TEMPLATE).read_bytes()
-    return bytes(
-        typst.compile(
-            template,
-            format="pdf",
-            ignore_system_fonts=True,
-            sys_inputs={"document": json.dumps(document)},
-            timestamp=int(made_at.timestamp()),
-        )
-    )
+    return typeset("service.sessions.report", "report.typ", document, made_at=made_at, form="pdf")
 
 
 def report_html(stored: StoredReport) -> str:

@@ -20,7 +20,7 @@ from service.core.schemas.coaching import CoachBand, CoachGuide, CoachHello, Coa
 from service.engine_host.roles import LiveFeed, LiveFrame
 from service.sessions.coaching.board import CoachingBoard, Guidance
 from service.web.dependencies import access, caller, require_guarded
-from service.web.stream.encoding import Encoding, Form, Shape, StreamClock
+from service.web.stream.encoding import Form, Shape, StreamClock
 from service.web.stream.hub import CLIENT_CHECK_S, LOGIN_CHECK_S, POLL_S, MayWatch
 from service.web.stream.metrics import CloseReason
 from service.web.stream.transports import CLOSE_CODES, SocketConnection
@@ -30,7 +30,7 @@ WAIT_S = 0.1
 """Period of messages while nothing is shown; a screen is black after 300 ms without one."""
 MAX_CLIENTS = 16
 router = APIRouter()
-SHAPE = Shape("websocket", Form.FULL, Encoding.JSON)
+SHAPE = Shape("websocket", Form.FULL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,14 +3,12 @@
 The query parameters of `/live` and `/live/events`.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Annotated, Literal, Protocol, Self
 
-import msgpack
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -35,14 +33,7 @@ class Form(StrEnum):
     THIN = "thin"
 
 
-class Encoding(StrEnum):
-    """Encoding of messages on a WebSocket."""
-
-    JSON = "json"
-    MSGPACK = "msgpack"
-
-
-class EventsQuery(BaseModel):
+class StreamQuery(BaseModel):
     """Parameters of both transports."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -80,21 +71,12 @@ class EventsQuery(BaseModel):
         return self
 
 
-class LiveQuery(EventsQuery):
-    """Parameters of the WebSocket."""
-
-    encoding: Annotated[
-        Encoding, Field(description="`msgpack`: the same messages as binary frames", examples=["json"])
-    ] = Encoding.JSON
-
-
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Transport, form and encoding of a client's messages."""
+    """Transport and form of a client's messages."""
 
     transport: Transport
     form: Form
-    encoding: Encoding
 
 
 class EncodedMessage(Protocol):
@@ -132,14 +114,13 @@ class Plain:
     def __init__(self, message: Message, encoder: MessageEncoder) -> None:
         self._message = message
         self._encoder = encoder
-        self._encoded: dict[tuple[Transport, Encoding], str | bytes] = {}
+        self._encoded: dict[Transport, str | bytes] = {}
 
     def payload(self, shape: Shape) -> str | bytes:
-        """Return the encoded message; encoded once per transport and encoding."""
-        key = (shape.transport, shape.encoding)
-        if key not in self._encoded:
-            self._encoded[key] = self._encoder.encode(self._message, shape)
-        return self._encoded[key]
+        """Return the encoded message; encoded once per transport."""
+        if shape.transport not in self._encoded:
+            self._encoded[shape.transport] = self._encoder.encode(self._message, shape)
+        return self._encoded[shape.transport]
 
 
 class Frame:
@@ -222,7 +203,7 @@ def thin_of(full: Sample) -> ThinSample:
 
 
 def encode(message: Message, shape: Shape, event_id: str | None = None) -> str | bytes:
-    """Encode a message in a shape: JSON, msgpack or a server-sent event."""
+    """Encode a message in a shape: JSON, or a server-sent event."""
     # Only `hello` leaves fields out: those of a session when none runs.
     text = message.model_dump_json(exclude_none=isinstance(message, Hello))
     if shape.transport == "sse":
@@ -231,7 +212,4 @@ def encode(message: Message, shape: Shape, event_id: str | None = None) -> str |
             return PING_COMMENT
         head = f"event: {kind}\n" if event_id is None else f"event: {kind}\nid: {event_id}\n"
         return f"{head}data: {text}\n\n".encode()
-    if shape.encoding is Encoding.JSON:
-        return text
-    packed: bytes = msgpack.packb(json.loads(text))  # via JSON, so that all digits agree in both encodings
-    return packed
+    return text

@@ -11,7 +11,7 @@ from engine import __version__
 from service.core.schemas.live_messages import Dropped, Hello, Message
 from service.engine_host.roles import LiveFeed
 from service.engine_host.site_rules.calibrations import kind_of, warning_of
-from service.web.stream.encoding import EncodedMessage, EventsQuery, Frame, Shape, encode
+from service.web.stream.encoding import EncodedMessage, Frame, Shape, StreamQuery, encode
 from service.web.stream.hub import PING_S, Client, LiveHub
 from service.web.stream.metrics import CloseReason
 
@@ -100,7 +100,7 @@ async def serve(
         await connection.close(client.why)
 
 
-def hello_of(hub: LiveHub, runner: LiveFeed, query: EventsQuery, shape: Shape) -> Hello:
+def hello_of(hub: LiveHub, runner: LiveFeed, query: StreamQuery, shape: Shape) -> Hello:
     """Return the hello message: the request as understood, and the running session."""
     running, camera = hub.running(), runner.running_camera()
     return Hello(
@@ -108,7 +108,6 @@ def hello_of(hub: LiveHub, runner: LiveFeed, query: EventsQuery, shape: Shape) -
         room=hub.room or None,
         sent_at=hub.clock.utc(),
         form=shape.form.value,
-        encoding=shape.encoding.value,
         rate_hz=query.rate_hz,
         camera_fps=None if running is None else running.fps,
         session_id=None if running is None else running.session_id,

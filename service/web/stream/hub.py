@@ -131,9 +131,7 @@ class LiveHub:
         """Return the counters. Thread-safe."""
         clients = list(self._clients)
         shapes = (one.slot.shape for one in clients)
-        kinds: Counter[tuple[str, str, str]] = Counter(
-            (shape.transport, shape.form.value, shape.encoding.value) for shape in shapes
-        )
+        kinds: Counter[tuple[str, str]] = Counter((shape.transport, shape.form.value) for shape in shapes)
         return StreamReading(
             clients=dict(kinds),
             sent=self._counts.sent,

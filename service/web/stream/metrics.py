@@ -8,19 +8,13 @@ from typing import Literal, get_args
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.web.stream.encoding import Encoding, Form, Transport
+from service.web.stream.encoding import Form, Transport
 
 CloseReason = Literal["gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving"]
 """Why a client's connection ended; ``full``: it was refused. Values are sent to clients and used as metric labels."""
 CLOSE_REASONS: tuple[CloseReason, ...] = ("gone", "stalled", "not_logged_in", "chatty", "full", "failed", "leaving")
-KINDS = tuple(
-    (transport, form.value, encoding.value)
-    for transport in get_args(Transport)
-    for form in Form
-    for encoding in Encoding
-    if transport == "websocket" or encoding is Encoding.JSON
-)
-"""All combinations of transport, form and encoding."""
+KINDS = tuple((transport, form.value) for transport in get_args(Transport) for form in Form)
+"""All combinations of transport and form."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +24,7 @@ class StreamReading:
     Attributes
     ----------
     clients
-        Connected clients by transport, form and encoding.
+        Connected clients by transport and form.
     sent
         Messages sent to all clients.
     skipped
@@ -41,7 +35,7 @@ class StreamReading:
         Encoded messages: one per shape, shared by all clients of that shape.
     """
 
-    clients: Mapping[tuple[str, str, str], int]
+    clients: Mapping[tuple[str, str], int]
     sent: int
     skipped: int
     closed: Mapping[str, int]
@@ -75,9 +69,7 @@ class StreamMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics."""
         reading = self._read()
-        clients = GaugeMetricFamily(
-            "tidegate_live_clients", "Clients of the live stream", labels=["transport", "form", "encoding"]
-        )
+        clients = GaugeMetricFamily("tidegate_live_clients", "Clients of the live stream", labels=["transport", "form"])
         for kind in KINDS:
             clients.add_metric(kind, reading.clients.get(kind, 0))
         yield clients

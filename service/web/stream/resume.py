@@ -20,7 +20,7 @@ from service.core.schemas.base import rounded_or_none
 from service.core.schemas.live_messages import Gap, RecordedSample, Resumed
 from service.storage.samples.layout import SampleHead
 from service.storage.samples.tail import NothingRecordedError, Row, SampleTails
-from service.web.stream.encoding import EventsQuery, Frame, Shape, encode
+from service.web.stream.encoding import Frame, Shape, StreamQuery, encode
 from service.web.stream.feed import Feed, Resume
 
 DIGITS = 4
@@ -145,7 +145,7 @@ class Resumption:
         self._limiter = anyio.CapacityLimiter(MAX_CONCURRENT)
         self._threads = anyio.CapacityLimiter(MAX_CONCURRENT)  # separate threads: no request waits for them
 
-    def for_query(self, query: EventsQuery) -> Resume | None:
+    def for_query(self, query: StreamQuery) -> Resume | None:
         """Return the function that resends missed samples; None if the query does not request them."""
         session_id, after = query.session_id, query.after_frame
         if session_id is None or after is None:

@@ -11,7 +11,7 @@ from service.engine_host.roles import LiveFeed
 from service.web.api import problems
 from service.web.dependencies import access, caller, services
 from service.web.problems.table import problem_of, problem_response
-from service.web.stream.encoding import Encoding, EventsQuery, Shape
+from service.web.stream.encoding import Shape, StreamQuery
 from service.web.stream.feed import Resume, hello_of, serve
 from service.web.stream.hub import LiveHub, MayWatch
 from service.web.stream.resume import Resumption
@@ -34,7 +34,7 @@ class EventStream(Response):
     media_type = "text/event-stream"
 
     def __init__(
-        self, hub: LiveHub, runner: LiveFeed, query: EventsQuery, may_watch: MayWatch, resume: Resume | None
+        self, hub: LiveHub, runner: LiveFeed, query: StreamQuery, may_watch: MayWatch, resume: Resume | None
     ) -> None:
         super().__init__()
         self._resume = resume
@@ -45,7 +45,7 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve the client, or answer 503 if the stream is full."""
-        shape = Shape("sse", self._query.form, Encoding.JSON)
+        shape = Shape("sse", self._query.form)
         with self._hub.connect(
             shape, rate_hz=self._query.rate_hz, may_watch=self._may_watch, buffers=self._resume is not None
         ) as client:
@@ -67,7 +67,7 @@ class EventStream(Response):
 )
 async def stream_events(
     request: Request,
-    query: Annotated[EventsQuery, Query()],
+    query: Annotated[StreamQuery, Query()],
     last_event_id: Annotated[
         str | None,
         Header(pattern=EVENT_ID, description="Sent by browsers on reconnection: continue after this event"),

@@ -10,7 +10,7 @@ import anyio
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.web.stream.encoding import Encoding, Form, Shape
+from service.web.stream.encoding import Form, Shape
 from service.web.stream.metrics import CloseReason
 
 TRANSPORT = "tidegate.transport"
@@ -87,7 +87,6 @@ class SocketConnection:
     def __init__(self, websocket: WebSocket, shape: Shape) -> None:
         self.shape = shape
         self._websocket = websocket
-        self._kind = "text" if shape.encoding is Encoding.JSON else "bytes"
         keep_small(websocket.scope)
 
     async def send(self, payload: str | bytes) -> None:
@@ -96,7 +95,7 @@ class SocketConnection:
         The server closes it by itself after a protocol error of the client, before `listen` sees the disconnection.
         """
         try:
-            await self._websocket.send({"type": "websocket.send", self._kind: payload})
+            await self._websocket.send({"type": "websocket.send", "text": payload})
         except RuntimeError as error:
             raise WebSocketDisconnect(ABNORMAL_CLOSURE) from error
 
@@ -127,7 +126,7 @@ class EventsConnection:
     """A response of server-sent events."""
 
     def __init__(self, scope: Scope, receive: Receive, send: Send, form: Form) -> None:
-        self.shape = Shape("sse", form, Encoding.JSON)
+        self.shape = Shape("sse", form)
         self._scope = scope
         self._receive = receive
         self._send = send

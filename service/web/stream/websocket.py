@@ -9,7 +9,7 @@ from starlette.datastructures import QueryParams
 
 from service.web.dependencies import access, caller, require_guarded, services
 from service.web.problems.table import problem_of, problem_response
-from service.web.stream.encoding import LiveQuery, Shape
+from service.web.stream.encoding import Shape, StreamQuery
 from service.web.stream.feed import hello_of, serve
 from service.web.stream.hub import LiveHub
 from service.web.stream.resume import Resumption
@@ -31,7 +31,7 @@ async def live(websocket: WebSocket) -> None:
         return
     hub = cast("LiveHub", websocket.app.state.live)
     identity, authenticator = caller(websocket).identity, access(websocket).authenticator
-    shape = Shape("websocket", query.form, query.encoding)
+    shape = Shape("websocket", query.form)
     resume = cast("Resumption", websocket.app.state.resumption).for_query(query)
     with hub.connect(
         shape,
@@ -47,13 +47,13 @@ async def live(websocket: WebSocket) -> None:
         await serve(hub, client, connection, hello_of(hub, services(websocket).runner, query, shape), resume)
 
 
-def read_query(parameters: QueryParams) -> LiveQuery:
+def read_query(parameters: QueryParams) -> StreamQuery:
     """Parse the query; raise RequestValidationError for unknown, repeated or out-of-bound parameters."""
     given: dict[str, object] = {}
     for name, value in parameters.multi_items():
         given[name] = [*parameters.getlist(name)] if len(parameters.getlist(name)) > 1 else value
     try:
-        return LiveQuery.model_validate(given)
+        return StreamQuery.model_validate(given)
     except ValidationError as error:
         found = [{**one, "loc": ("query", *one["loc"])} for one in error.errors(include_url=False)]
         raise RequestValidationError(found) from error

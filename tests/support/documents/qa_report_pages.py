@@ -5,16 +5,15 @@ one with every frame 150 ms late. Not a test: what is wrong with a picture is fo
 """
 
 import contextlib
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-
 from service.cli.qa.run import RunOptions, do_run
 from service.core.settings.database_place import DATABASE_NAME
 from service.qa import queries, views
-from service.qa.report.report import report_pages
+from service.qa.report.report import report_pdf
 from service.storage.database.engine import Database
 
 RUNS = 6
@@ -39,9 +38,8 @@ def main(out: Path, runs: int = RUNS) -> None:
             for name, row in (("qa-healthy", healthy), ("qa-late", late)):
                 detail = views.run_detail(db, row, is_under_way=False)
                 trends = [views.trend_answer(db, one.code, 30, before=row) for one in detail.results]
-                for number, page in enumerate(report_pages(detail, trends), start=1):
-                    FigureCanvasAgg(page)
-                    page.savefig(out / f"{name}-{number}.png", dpi=DPI, metadata={"Software": None})
+                (data / "report.pdf").write_bytes(report_pdf(detail, trends))
+                subprocess.run(["pdftoppm", "-r", str(DPI), "-png", data / "report.pdf", out / name], check=True)
 
 
 if __name__ == "__main__":

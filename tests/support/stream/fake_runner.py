@@ -9,15 +9,14 @@ from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import LiveFrame, SessionPlan
 from service.sessions.alarms.board import AlarmBoard
 from service.sessions.views.live import live_sample
-from service.web.stream.encoding import Encoding, Form, Frame, MessageEncoder, Shape, StreamClock
+from service.web.stream.encoding import Form, Frame, MessageEncoder, Shape, StreamClock
 from service.web.stream.hub import LiveHub
 from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.service.fake_engine import FakeRunning
 
-JSON = Shape("websocket", Form.FULL, Encoding.JSON)
-THIN = Shape("websocket", Form.THIN, Encoding.JSON)
-MSGPACK = Shape("websocket", Form.FULL, Encoding.MSGPACK)
-EVENTS = Shape("sse", Form.FULL, Encoding.JSON)
+JSON = Shape("websocket", Form.FULL)
+THIN = Shape("websocket", Form.THIN)
+EVENTS = Shape("sse", Form.FULL)
 
 
 def utc_of(monotonic_ns: int) -> datetime:

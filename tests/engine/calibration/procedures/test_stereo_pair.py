@@ -9,9 +9,9 @@ import pytest
 from engine.calibration.procedures.accuracy import AT_MM
 from engine.calibration.procedures.boards import find_coverage
 from engine.calibration.procedures.checkerboard import FoundBoards, calibrate
-from engine.calibration.procedures.residual_plot import draw_residuals
 from engine.calibration.procedures.stereo_pair import BoardPair, PictureSizes, fit_pair
 from engine.core.errors import CalibrationError, InvalidValueError
+from service.cli.calibrate.residuals import draw_residuals
 from tests.support.calibration.camera_pair import BOARD, CAMERAS, board_poses, seen_corners
 
 pytestmark = [pytest.mark.slow, pytest.mark.verification]

@@ -5,15 +5,16 @@ import os
 import subprocess
 import sys
 
+import cv2
+import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
-from matplotlib.text import Text
 
 from engine.qa.checks import checks_of
 from engine.qa.results import QaKind
-from service.qa.report.report import report_pages, report_pdf
+from service.qa.report.panels import axis_ticks, series_panel, trend_panel
+from service.qa.report.report import report_document, report_pdf
 from service.qa.report.style import DASH, LOOKS, number
+from service.qa.schemas import QaCurve, QaSeries
 from tests.support.qa.sample_runs import report, run_detail, sample_series, trends
 from tests.support.repository import ROOT
 
@@ -24,10 +25,6 @@ def read(pdf: bytes, tmp_path) -> str:
     path = tmp_path / "report.pdf"
     path.write_bytes(pdf)
     return subprocess.run(["pdftotext", "-layout", path, "-"], check=True, capture_output=True, text=True).stdout
-
-
-def words(figures: list[Figure]) -> list[str]:
-    return [text.get_text() for figure in figures for text in figure.findobj(Text) if text.get_text()]
 
 
 @pytest.mark.parametrize("kind", list(QaKind), ids=str)
@@ -44,24 +41,80 @@ def test_the_paper_names_every_check_and_its_verdict(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", list(QaKind), ids=str)
-def test_it_is_two_pages_at_most_and_everything_lies_on_them(kind):
+def test_it_is_two_pages_at_most_and_everything_lies_on_them(kind, tmp_path):
     detail = run_detail(kind, made=report(kind, series=sample_series() * 3, duty_cycle_change_percent=None))
-    pages = report_pages(detail, trends(detail))
-    assert len(pages) <= 2
-    assert words(pages[-1:])
-    for page in pages:
-        for panel in page.axes:
-            box = panel.get_position()
-            assert box.x0 >= 0.0, panel
-            assert box.y0 >= 0.04, "nothing lies on the foot"
-            assert box.x1 <= 1.0
-            assert box.y1 <= 1.0
-            assert box.height > 0.02
+    text = read(report_pdf(detail, trends(detail)), tmp_path)
+    assert text.count("not cleared for clinical use") == text.count("page ") <= 2
+    panels = report_document(detail, trends(detail))
+    assert len(panels["series"]) == 6
+    for panel in panels["series"] + panels["trends"]:
+        assert panel["title"] in text
+        places = [point for line in panel["lines"] for point in line["points"]]
+        places += [mark["place"] for mark in panel.get("marks", ())]
+        assert places
+        assert np.array(places).min() >= 0.0
+        assert np.array(places).max() <= 1.0
 
 
-def test_a_daily_run_fits_on_one_page():
+def test_a_daily_run_fits_on_one_page(tmp_path):
     detail = run_detail(made=report(series=sample_series()[:1]))
-    assert len(report_pages(detail, trends(detail))) == 1
+    assert "page 1 of 1" in read(report_pdf(detail, trends(detail)), tmp_path)
+
+
+def trend_of(*deviations: float | None, warn: float = 1.0, fail: float = 2.0):
+    detail = run_detail()
+    one = next(one for one in trends(detail, runs=len(deviations)) if one.sidedness == "absolute")
+    points = [
+        point.model_copy(
+            update={
+                "deviation": value,
+                "warn": warn,
+                "fail": fail,
+                "verdict": "fail" if value and abs(value) > fail else "pass",
+            }
+        )
+        for point, value in zip(one.items, deviations, strict=True)
+    ]
+    return trend_panel(one.model_copy(update={"items": points}))
+
+
+def test_a_trend_shows_its_bounds_its_gaps_and_what_lies_beyond_the_axis():
+    marks = trend_of(0.5, None, -40.0, 0.0)["marks"]
+    assert [mark["shape"] for mark in marks] == ["circle", "cross", "square", "circle"]
+    assert [mark["is_newest"] for mark in marks] == [False, False, False, True]
+    assert [mark["label"] for mark in marks] == ["", "", "\N{MINUS SIGN}40", ""]
+    assert [mark["place"][1] for mark in marks] == pytest.approx([0.5 + 0.25 / 5.8, 0.5, 0.02, 0.5], abs=1e-4)
+    warn, fail = trend_of(0.5, 0.5)["lines"][:2]
+    assert (warn["dash"], fail["dash"]) == ("dashed", "solid")
+    assert [point[1] for point in warn["points"]] == pytest.approx([0.5 + 0.5 / 2.9] * 4, abs=1e-4)
+    assert [point[1] for point in fail["points"]] == pytest.approx([0.5 + 1.0 / 2.9] * 4, abs=1e-4)
+
+
+def test_a_curve_of_a_narrow_range_is_not_blown_up_and_a_missing_value_breaks_it():
+    flat = QaSeries(
+        code="x",
+        title="t",
+        x_label="time [s]",
+        y_label="distance [mm]",
+        curves=[QaCurve(name="a", x=[0.0, 1.0, 2.0], y=[850.0, float("nan"), 850.1])],
+    )
+    first, missing, last = series_panel(flat)["lines"][0]["points"]
+    assert missing[1] == -1.0, "the template draws nothing there"
+    assert last[1] - first[1] == pytest.approx(0.1 / 2.0, abs=1e-3), "0.1 of a span of 2 mm"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.0, 60.0, ["0", "10", "20", "30", "40", "50", "60"]),
+        (-1.45, 1.45, ["\N{MINUS SIGN}1", "0", "1"]),
+        (849.2, 851.2, ["849.5", "850", "850.5", "851"]),
+    ],
+)
+def test_axes_have_round_numbers(low, high, words):
+    found = axis_ticks(low, high, 6 if high == 60.0 else 4)
+    assert [word for _, word in found] == words
+    assert [share for share, _ in found] == sorted(share for share, _ in found)
 
 
 def test_a_failure_is_reported_by_its_word_its_place_and_why(tmp_path):
@@ -75,16 +128,16 @@ def test_a_failure_is_reported_by_its_word_its_place_and_why(tmp_path):
     assert next(line for line in lines if line.strip().startswith("Read-back errors")).split()[-1] == "PASS"
 
 
-def test_in_black_and_white_a_failure_is_solid_a_warning_and_a_pass_are_not():
+def test_in_black_and_white_a_failure_is_solid_a_warning_and_a_pass_are_not(tmp_path):
     looks = {verdict: look.is_solid for verdict, look in LOOKS.items()}
     assert looks == {"pass": False, "warn": False, "fail": True}
     assert len({look.marker for look in LOOKS.values()}) == 3
     detail = run_detail(made=report(plate_noise_mm=9.0))
-    page = report_pages(detail, trends(detail))[0]
-    badges = list(page.findobj(FancyBboxPatch))
-    dark = [patch for patch in badges if sum(patch.get_facecolor()[:3]) < 1.2]
-    assert len(badges) == 1 + len(detail.results)
-    assert len(dark) == 2, "the run's and the one check's"
+    (tmp_path / "r.pdf").write_bytes(report_pdf(detail, []))
+    subprocess.run(["pdftoppm", "-gray", "-r", "50", tmp_path / "r.pdf", tmp_path / "r"], check=True)
+    page = cv2.imread(str(next(tmp_path.glob("r*.pgm"))), cv2.IMREAD_GRAYSCALE)
+    dark = cv2.morphologyEx((page < 110).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 6), np.uint8))
+    assert cv2.connectedComponents(dark)[0] - 1 == 2, "the run's badge and the one check's"
 
 
 def test_a_simulated_run_states_it_in_words(tmp_path):

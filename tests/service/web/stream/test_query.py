@@ -5,7 +5,6 @@ from types import MappingProxyType
 
 import anyio
 import httpx2
-import msgpack
 import pytest
 from fastapi.exceptions import RequestValidationError
 from starlette.datastructures import QueryParams
@@ -43,7 +42,7 @@ def test_a_socket_that_asks_for_what_there_is_not_is_refused_with_a_problem_and_
     assert problem["bound"]
 
 
-@pytest.mark.parametrize(("query", "field"), [*REFUSED, ("encoding=msgpack", "encoding")])
+@pytest.mark.parametrize(("query", "field"), [*REFUSED, ("encoding=json", "encoding")])
 def test_an_event_stream_refuses_the_same(service: Served, query: str, field: str):
     with service.http() as client:
         answer = client.get(f"/api/v1/live/events?{query}")
@@ -73,15 +72,14 @@ def test_where_the_server_cannot_answer_with_a_problem_the_close_names_it(servic
 def test_the_hello_states_how_the_stream_was_understood(service: Served, session_id: str):
     with service.watch():
         service.frames(1)
-        with service.watch("?rate_hz=5&form=thin&encoding=msgpack") as socket:
-            hello = msgpack.unpackb(socket.recv(timeout=PATIENCE_S))
-            sample = msgpack.unpackb(socket.recv(timeout=PATIENCE_S))
+        with service.watch("?rate_hz=5&form=thin") as socket:
+            hello = json.loads(socket.recv(timeout=PATIENCE_S))
+            sample = json.loads(socket.recv(timeout=PATIENCE_S))
     assert hello["type"] == "hello"
-    told = {name: hello[name] for name in ("schema", "form", "encoding", "rate_hz", "session_id", "camera_fps")}
+    told = {name: hello[name] for name in ("schema", "form", "rate_hz", "session_id", "camera_fps")}
     assert told == {
         "schema": "tidegate.live/1",
         "form": "thin",
-        "encoding": "msgpack",
         "rate_hz": 5.0,
         "session_id": session_id,
         "camera_fps": 29.97,
