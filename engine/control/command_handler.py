@@ -7,13 +7,11 @@ Follows the learner for the gate: a changed model disarms, and a window in per c
 
 from typing import NamedTuple
 
-from engine.control.arming_outlook import OTHER_STATE, ArmingOutlook
+from engine.control.arming import Arming
 from engine.control.beam_driver import LineOrders
 from engine.control.command_queue import Command
 from engine.control.gate_controller import GateController
 from engine.control.outputs import Cause
-from engine.control.position_sign_off import PositionSignOff
-from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_reader import CommandInputs
@@ -32,12 +30,11 @@ from engine.core.commands import (
     SetReference,
     SignPosition,
 )
-from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError, ReasonMissingError
+from engine.core.errors import CommandRefusedError, CountersignatureError, ReasonMissingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference import ReferenceMoment
 from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
-from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
@@ -47,7 +44,6 @@ LEVEL_TOLERANCE_MM = MOVE_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
 NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
-NOT_WHAT_WAS_SEEN = say("{advice}, then arm", advice=OTHER_STATE)
 
 
 class ModelFollower:
@@ -109,16 +105,12 @@ class CommandHandler:
         follower: ModelFollower,
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
-        budget: ReferenceBudget,
-        outlook: ArmingOutlook,
-        sign_off: PositionSignOff,
+        arming: Arming,
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
-        self._budget, self._sign_off = budget, sign_off
-        self._outlook = outlook
+        self._arming = arming
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._follower = follower
-        self._reference_by = ""
 
     def handle(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
@@ -134,7 +126,7 @@ class CommandHandler:
             case Acknowledge():
                 self._acknowledge(command, inputs)
             case CorrectBaseline():
-                self._budget.check_correction(command)
+                self._arming.budget.check_correction(command)
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
             case Countersign() | SignPosition():
@@ -148,7 +140,7 @@ class CommandHandler:
         self._controller.refuse_window_while_armed()
         if self._limits.current.needs_countersignature and not command.reason.strip():
             raise ReasonMissingError(say("another window for a patient needs a written reason at this site"))
-        self._budget.check_window(self._limits.changed(command, ranges).limits.window, command)
+        self._arming.budget.check_window(self._limits.changed(command, ranges).limits.window, command)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._follower.resolve_again()
@@ -174,10 +166,10 @@ class CommandHandler:
             self._controller.refuse_unseen_patient()  # no measured frame within a second: the learner drops the request
             self._refuse_other_move(command)
             self._refuse_other_level(command)
-            most_mm = self._budget.checked_mm(command)
+            most_mm = self._arming.budget.checked_mm(command)
         self._disarm_for(say("the reference is set"), command.operator)
         self._learner.set_reference(command.moment, most_mm=most_mm)
-        self._reference_by = command.operator
+        self._arming.reference_by = command.operator
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()
@@ -250,36 +242,28 @@ class CommandHandler:
         if self._follower.has_changed():  # armed with what is present now
             self._controller.rescale()
         self._follower.resolve_window()
-        if inputs.operator_absence:
-            raise CommandRefusedError(
-                say(
-                    "{operator_absence}: a person has to log in there, and keep it visible",
-                    operator_absence=inputs.operator_absence,
-                )
-            )
-        self._refuse_unless_ready(inputs)
-        if command.seen is not None and command.seen != self._outlook.state:
-            raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
-        self._refuse_other_head(command)
-        self._refuse_unreasoned_way(command)
-        self._outlook.forecast.refuse_free_breath()
-        self._budget.check_arming(command)
-        self._outlook.countersignature.refuse_unsigned(command, self._outlook.state, reference_by=self._reference_by)
-        signed = self._outlook.signed
+        self._arming.refuse(
+            command,
+            self._controller.gate,
+            operator_absence=inputs.operator_absence,
+            is_watchdog_running=inputs.is_watchdog_running,
+            refuse_old_frame=self._controller.refuse_without_fresh_signal,
+        )
+        signed = self._arming.signed
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(say("a fault came up: {reason}", reason=self._controller.gate.reason))
-        self._budget.note_armed(command.operator, signed.signed_by)
+        self._arming.budget.note_armed(command.operator, signed.signed_by)
 
     def _sign(self, command: Countersign | SignPosition) -> None:
         """Sign window and reference as a second person, or the patient's position."""
         if isinstance(command, Countersign):
             self._countersign(command)
         else:
-            self._sign_off.sign(command)
+            self._arming.position.sign(command)
         self._controller.decide(cause=Cause(operator=command.operator))
 
     def _countersign(self, command: Countersign) -> None:
@@ -287,74 +271,12 @@ class CommandHandler:
             raise CountersignatureError(
                 say("there is no reference yet, or the window is still in per cent: set it first")
             )
-        self._outlook.countersignature.sign(command, self._outlook.state)
-
-    def _refuse_unreasoned_way(self, command: Arm) -> None:
-        """Refuse a window with several ways into the beam to a program, and without a person's reason."""
-        if not self._outlook.has_ways:
-            return
-        if not command.is_person or not command.reason.strip():
-            raise CommandRefusedError(
-                say(
-                    "the window joins conditions by or, each of which permits the beam: a person arms it, with a reason"
-                )
-            )
+        self._arming.countersignature.sign(command, self._arming.state)
 
     def _release(self, command: ReleaseBeam) -> None:
         if command.is_person:
             self._presence.note(command.operator)
         self._controller.release(command)
-
-    def _refuse_unless_ready(self, inputs: CommandInputs) -> None:
-        gate = self._controller.gate
-        if gate.state is GateState.FAULT:
-            raise CommandRefusedError(say("a fault is latched ({reason}): acknowledge it first", reason=gate.reason))
-        if gate.is_armed:
-            raise CommandRefusedError(say("the gate is armed already"))
-        if self._learner.status.model is None:
-            raise CommandRefusedError(say("there is no motion model yet: wait for the training to end"))
-        if self._learner.status.model_shortcoming is not None:
-            raise CommandRefusedError(self._learner.status.model_shortcoming)
-        if not self._learner.status.has_reference:
-            raise CommandRefusedError(say("there is no reference yet: set it first"))
-        if self._limits.is_window_unresolved:
-            raise CommandRefusedError(
-                say("The window is in per cent, but this model has no breathing range. Train again.")
-            )
-        self._sign_off.refuse_unsigned()
-        self._limits.refuse_wide_window()
-        if not inputs.is_watchdog_running:
-            raise CommandRefusedError(say("the watchdog does not run: this engine cannot be armed"))
-        self._controller.refuse_without_fresh_signal()
-
-    def _refuse_other_head(self, command: Arm) -> None:
-        """Refuse a head direction that is not the session's, and none where the window is on a part of the patient."""
-        limits, confirmed = self._limits.current, command.head_direction
-        lies = (
-            say("unknown")
-            if limits.head_direction is None
-            else say("at the {head_direction} of the picture", head_direction=limits.head_direction)
-        )
-        if confirmed is not None and confirmed is not limits.head_direction:
-            raise HeadDirectionError(
-                say(
-                    "the head is confirmed at the {confirmed}, and in this session it is {lies}",
-                    confirmed=confirmed,
-                    lies=lies,
-                )
-            )
-        if not limits.needs_head_direction or confirmed is not None:
-            return
-        if limits.head_direction is None:
-            raise HeadDirectionError(
-                say(
-                    "{head_direction_unknown}: create the session with head_direction",
-                    head_direction_unknown=HEAD_DIRECTION_UNKNOWN,
-                )
-            )
-        raise HeadDirectionError(
-            say("the head is {lies}: see that it is, and confirm head_direction with the arming", lies=lies)
-        )
 
     def _acknowledge(self, command: Acknowledge, inputs: CommandInputs) -> None:
         if self._controller.gate.state is not GateState.FAULT:

@@ -12,7 +12,7 @@ import numpy as np
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
-from engine.control.arming_outlook import CountersignatureState
+from engine.control.arming import CountersignatureState
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import Decision, FrameRecord, LatencySummary, LiveView, LoopStatus
 from engine.control.position_sign_off import PositionState

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from engine.beam.beam_on import BeamOnState
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
-from engine.control.arming_outlook import ArmingOutlook
+from engine.control.arming import Arming
 from engine.control.beam_driver import LineOrders
 from engine.control.command_handler import CommandHandler, ModelFollower
 from engine.control.command_queue import Command, CommandQueue
@@ -25,8 +25,6 @@ from engine.control.journal.journal import Journal
 from engine.control.live_views import EngineStatus, LiveViews, no_camera_view, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
-from engine.control.position_sign_off import PositionSignOff
-from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_reader import TurnReader
@@ -132,21 +130,19 @@ class EngineLoop:
             tap=tap,
         )
         self._line = line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        supervisor, budget = FrameSupervisor(limits), ReferenceBudget(learner, self._limits, fraction_arming)
-        self._budget = budget
-        self._supervisor = supervisor
-        sign_off, follower = PositionSignOff(learner, self._limits), ModelFollower(learner, self._limits)
-        self._outlook = ArmingOutlook(learner, self._limits, budget)
+        self._supervisor = supervisor = FrameSupervisor(limits)
+        self._arming = arming = Arming(learner, self._limits, fraction_arming)
+        follower = ModelFollower(learner, self._limits)
         self._views = LiveViews(
             limits=self._limits,
             outputs=self._outputs,
             watchdog=self._watchdog,
             beam_on=beam_on,
-            reference_distance=budget.present,
+            reference_distance=arming.budget.present,
             movement=lambda: supervisor.movement,
             checks=lambda: supervisor.checks,
             marker_travel_mm=lambda: supervisor.marker_travel_mm,
-            position=sign_off.present,
+            position=arming.position.present,
             camera_view=camera_view,
         )
         records = DecisionRecords(
@@ -169,9 +165,7 @@ class EngineLoop:
             follower=follower,
             presence=self._presence,
             supervisor=supervisor,
-            budget=budget,
-            outlook=self._outlook,
-            sign_off=sign_off,
+            arming=arming,
         )
         self._turns = TurnRunner(
             reader=self._reader,
@@ -181,7 +175,7 @@ class EngineLoop:
             handler=handler,
             supervisor=supervisor,
             limits=self._limits,
-            sign_off=sign_off,
+            position=arming.position,
             follower=follower,
             outputs=self._outputs,
             publish=self._publish,
@@ -348,12 +342,12 @@ class EngineLoop:
             source=self._views.description,
             view=self._views.newest,
             learning=self._learner.status,
-            predicted_duty_percent=self._outlook.forecast.percent,
-            learned_ranges=self._outlook.forecast.ranges,
-            arming_state=self._outlook.state,
-            is_reason_needed=self._outlook.is_reason_needed,
-            countersignature=self._outlook.signed,
-            fraction_arming=self._budget.arming,
+            predicted_duty_percent=self._arming.forecast.percent,
+            learned_ranges=self._arming.forecast.ranges,
+            arming_state=self._arming.state,
+            is_reason_needed=self._arming.is_reason_needed,
+            countersignature=self._arming.signed,
+            fraction_arming=self._arming.budget.arming,
         )
 
 

@@ -44,7 +44,7 @@ class TurnRunner:
         handler: CommandHandler,
         supervisor: FrameSupervisor,
         limits: SessionLimits,
-        sign_off: PositionSignOff,
+        position: PositionSignOff,
         follower: ModelFollower,
         outputs: OutputQueues,
         publish: Callable[[], None],
@@ -52,7 +52,7 @@ class TurnRunner:
     ) -> None:
         self._reader, self._measurer, self._learner = reader, measurer, learner
         self._controller, self._handler, self._supervisor = controller, handler, supervisor
-        self._limits, self._sign_off, self._follower, self._outputs = limits, sign_off, follower, outputs
+        self._limits, self._position, self._follower, self._outputs = limits, position, follower, outputs
         self._publish, self._hold = publish, hold
         self._is_camera_away = False
 
@@ -107,10 +107,10 @@ class TurnRunner:
             has_reference=self._learner.status.has_reference,
             notices=notices,
         )
-        self._sign_off.follow(gated, supervision)
+        self._position.follow(gated, supervision)
         if self._supervisor.take_warmed():
             self._measurer.camera_warmed()
-        unsigned = self._sign_off.interruption()
+        unsigned = self._position.interruption()
         self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
 
     def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:

@@ -125,8 +125,8 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="what was looked at is not compared",
-        file="engine/control/command_handler.py",
-        old="command.seen != self._outlook.state",
+        file="engine/control/arming.py",
+        old="command.seen != self.state",
         new="command.seen == ''",
         test="tests/engine/control/test_armed_as_seen.py::"
         "test_an_arming_for_something_else_than_was_looked_at_is_refused",
@@ -357,8 +357,8 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="an arming does not look at the budget",
-        file="engine/control/command_handler.py",
-        old="self._budget.check_arming(command)",
+        file="engine/control/arming.py",
+        old="self.budget.check_arming(command)",
         new="pass",
         test=f"{_WINDOWS}::test_a_window_and_a_reference_add_up_at_the_arming",
     ),

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from engine.control.arming_outlook import CountersignatureState
+from engine.control.arming import CountersignatureState
 from engine.core.breath import WHOLE
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, Countersign, Disarm, SetReference
 from engine.core.errors import CountersignatureError, ReasonMissingError

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from engine.control.arming_outlook import DutyForecast
+from engine.control.arming import DutyForecast
 from engine.control.session_limits import SessionLimits
 from engine.core.breath import WHOLE
 from engine.core.clock import ManualClock

@@ -11,7 +11,7 @@ import numpy as np
 from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
-from engine.control.arming_outlook import CountersignatureState
+from engine.control.arming import CountersignatureState
 from engine.control.command_queue import Command
 from engine.control.live_views import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus

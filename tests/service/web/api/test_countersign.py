@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.control.arming_outlook import CountersignatureState
+from engine.control.arming import CountersignatureState
 from engine.core.commands import Countersign
 from engine.core.errors import CountersignatureError
 from service.core.permissions import Role

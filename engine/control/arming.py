@@ -1,28 +1,31 @@
-"""What an arming would take now, and whose word it needs: shown to the person, and compared when the gate is armed.
+"""What an arming needs, as one list, and what it would take: shown to the person, and compared when the gate is armed.
 
-The learned breaths against the window in use, computed again when the model, the reference or the window changes.
-
-The second person's countersignature of the reference and the window, before the first arming of a fraction.
-
-Asked for where the site wants it. It is of exactly what an arming would take (`CommandHandler.arming_state`), and ends
-with any change of window, reference, model or head direction. A window beyond the fraction's budget, for which a person
-gave a reason, needs another one.
+The second person's countersignature is of exactly what an arming would take. The site may want it before the first
+arming of a fraction; it ends with any change of window, reference, model or head direction. A window beyond the
+fraction's budget, for which a person gave a reason, needs another one.
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner
 from engine.control.session_limits import SessionLimits
 from engine.core.commands import Arm, Countersign
-from engine.core.errors import CountersignatureError
+from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError
+from engine.core.fraction_arming import FractionArming
+from engine.core.gate_state import GateState
 from engine.core.sentences import say
 from engine.core.signals import Ranges, ranges_of
 from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left
+from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
+from engine.gating.gate import Gate
 from engine.gating.windows import GateWindow, Join, JoinedWindow
 
 OTHER_STATE = say("window, reference, model or head direction is another than the one that was looked at: look again")
+NOT_WHAT_WAS_SEEN = say("{advice}, then arm", advice=OTHER_STATE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,23 +132,53 @@ class DutyForecast:
         refuse_hold_in_free_breath(limits, levels)
 
 
-class ArmingOutlook:
-    """Owned by the engine thread.
+class Arming:
+    """What an arming needs and would take; owned by the engine thread. ``reference_by`` is who set the reference."""
 
-    Attributes
-    ----------
-    countersignature
-        The second person's, for the present `state`.
-    forecast
-        Share of the learned breaths inside the window.
-    """
-
-    def __init__(self, learner: Learner, limits: SessionLimits, budget: ReferenceBudget) -> None:
-        self._learner, self._limits, self._budget = learner, limits, budget
-        self.countersignature = Countersignature(budget, limits)
+    def __init__(self, learner: Learner, limits: SessionLimits, fraction: FractionArming | None = None) -> None:
+        self._learner, self._limits = learner, limits
+        self.budget = ReferenceBudget(learner, limits, fraction)
+        self.position = PositionSignOff(learner, limits)
+        self.countersignature = Countersignature(self.budget, limits)
         self.forecast = DutyForecast(learner, limits)
+        self.reference_by = ""
         self._hashed: tuple[object, ...] = ()
         self._hash = ""
+
+    def refuse(
+        self,
+        command: Arm,
+        gate: Gate,
+        *,
+        operator_absence: str,
+        is_watchdog_running: bool,
+        refuse_old_frame: Callable[[], None],
+    ) -> None:
+        """Refuse an arming that lacks anything; this is the list, in the order in which a person reads the refusals.
+
+        ``operator_absence`` says that no person who may arm is present, for a program that arms; ``refuse_old_frame``
+        raises unless every signal of the window was measured a moment ago.
+
+        Raises
+        ------
+        TidegateError
+            The first thing that is missing: a CommandRefusedError, or an error of what refuses.
+        """
+        if operator_absence:
+            raise CommandRefusedError(
+                say(
+                    "{operator_absence}: a person has to log in there, and keep it visible",
+                    operator_absence=operator_absence,
+                )
+            )
+        self._refuse_unless_ready(gate, is_watchdog_running=is_watchdog_running, refuse_old_frame=refuse_old_frame)
+        if command.seen is not None and command.seen != self.state:
+            raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
+        self._refuse_other_head(command)
+        self._refuse_unreasoned_way(command)
+        self.forecast.refuse_free_breath()
+        self.budget.check_arming(command)
+        self.countersignature.refuse_unsigned(command, self.state, reference_by=self.reference_by)
 
     @property
     def state(self) -> str:
@@ -169,12 +202,76 @@ class ArmingOutlook:
     @property
     def is_reason_needed(self) -> bool:
         """Whether the window is armed by a person with a reason only: joined by or, or beyond the fraction's budget."""
-        return self.has_ways or self._budget.is_reason_needed
+        return self.has_ways or self.budget.is_reason_needed
 
     @property
     def signed(self) -> CountersignatureState:
         """Whether the next arming needs a second person's countersignature, and who has given it."""
         return self.countersignature.present(self.state)
+
+    def _refuse_unless_ready(
+        self, gate: Gate, *, is_watchdog_running: bool, refuse_old_frame: Callable[[], None]
+    ) -> None:
+        """Refuse while a fault is latched, nothing is learned, or nothing is measured, recorded or supervised."""
+        if gate.state is GateState.FAULT:
+            raise CommandRefusedError(say("a fault is latched ({reason}): acknowledge it first", reason=gate.reason))
+        if gate.is_armed:
+            raise CommandRefusedError(say("the gate is armed already"))
+        if self._learner.status.model is None:
+            raise CommandRefusedError(say("there is no motion model yet: wait for the training to end"))
+        if self._learner.status.model_shortcoming is not None:
+            raise CommandRefusedError(self._learner.status.model_shortcoming)
+        if not self._learner.status.has_reference:
+            raise CommandRefusedError(say("there is no reference yet: set it first"))
+        if self._limits.is_window_unresolved:
+            raise CommandRefusedError(
+                say("The window is in per cent, but this model has no breathing range. Train again.")
+            )
+        self.position.refuse_unsigned()
+        self._limits.refuse_wide_window()
+        if not is_watchdog_running:
+            raise CommandRefusedError(say("the watchdog does not run: this engine cannot be armed"))
+        refuse_old_frame()
+
+    def _refuse_other_head(self, command: Arm) -> None:
+        """Refuse a head direction that is not the session's, and none where the window is on a part of the patient."""
+        limits, confirmed = self._limits.current, command.head_direction
+        lies = (
+            say("unknown")
+            if limits.head_direction is None
+            else say("at the {head_direction} of the picture", head_direction=limits.head_direction)
+        )
+        if confirmed is not None and confirmed is not limits.head_direction:
+            raise HeadDirectionError(
+                say(
+                    "the head is confirmed at the {confirmed}, and in this session it is {lies}",
+                    confirmed=confirmed,
+                    lies=lies,
+                )
+            )
+        if not limits.needs_head_direction or confirmed is not None:
+            return
+        if limits.head_direction is None:
+            raise HeadDirectionError(
+                say(
+                    "{head_direction_unknown}: create the session with head_direction",
+                    head_direction_unknown=HEAD_DIRECTION_UNKNOWN,
+                )
+            )
+        raise HeadDirectionError(
+            say("the head is {lies}: see that it is, and confirm head_direction with the arming", lies=lies)
+        )
+
+    def _refuse_unreasoned_way(self, command: Arm) -> None:
+        """Refuse a window with several ways into the beam to a program, and without a person's reason."""
+        if not self.has_ways:
+            return
+        if not command.is_person or not command.reason.strip():
+            raise CommandRefusedError(
+                say(
+                    "the window joins conditions by or, each of which permits the beam: a person arms it, with a reason"
+                )
+            )
 
 
 def _has_ways(window: GateWindow) -> bool:
