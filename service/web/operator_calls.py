@@ -5,7 +5,8 @@ only where the session's ETag still matches ``If-Match``. What takes permission 
 it runs on threads of its own, so that no other call can delay it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, TypeVar
@@ -34,8 +35,9 @@ class OperatorCall:
     services: Services
     if_match: Precondition
 
-    def act(self, session_id: str, claimed: str, action: Callable[[str, str], AnswerT]) -> AnswerT:
-        """Run ``action(session_id, operator)`` where ``If-Match`` still holds; ``claimed`` is the body's operator.
+    @contextmanager
+    def acting(self, session_id: str, claimed: str) -> Iterator[str]:
+        """Give the operator's name, where ``If-Match`` still holds until the end; ``claimed`` is the body's operator.
 
         Raises
         ------
@@ -45,7 +47,7 @@ class OperatorCall:
             The body names another person than the one who is logged in.
         """
         with self.services.revisions.only_if(session_id, self.if_match):
-            return action(session_id, self.caller.checked_actor(claimed))
+            yield self.caller.checked_actor(claimed)
 
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
         """Arm the gate, with the head direction that the operator confirms; a practice ends with that."""
@@ -55,14 +57,15 @@ class OperatorCall:
         if seen is None and self.if_match.names_a_state:
             # Read before the ETag is compared: what was decided earlier changed the ETag, what comes later the state.
             seen = self.services.runner.arming_state(session_id)
-        arm = partial(
-            self.services.runner.arm,
-            head=head,
-            is_person=self.caller.identity.is_person,
-            seen=seen,
-            reason=request.reason.strip(),
-        )
-        return self.act(session_id, request.operator, arm)
+        with self.acting(session_id, request.operator) as operator:
+            return self.services.runner.arm(
+                session_id,
+                operator,
+                head=head,
+                is_person=self.caller.identity.is_person,
+                seen=seen,
+                reason=request.reason.strip(),
+            )
 
     @property
     def may_exceed(self) -> bool:

@@ -1,6 +1,5 @@
 """Routes of motion models: list, read, spectrum, quality maps, train again, activate."""
 
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -43,8 +42,8 @@ def retrain_model(
     session_id: dependencies.SessionId, request: sessions.RetrainRequest, call: Operated
 ) -> sessions.SessionDetail:
     """Train a new model in the background; applied between two frames, or on request while armed."""
-    retrain = partial(call.services.runner.retrain, keeps_reference=request.keeps_reference)
-    return call.act(session_id, request.operator, retrain)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.retrain(session_id, operator, keeps_reference=request.keeps_reference)
 
 
 @router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
@@ -52,7 +51,8 @@ def apply_model(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
     """Apply the new model that is waiting; disarms. Refused if none is waiting."""
-    return call.act(session_id, request.operator, call.services.runner.apply_model)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.apply_model(session_id, operator)
 
 
 @router.get("/models/{model_id}", responses=READ)

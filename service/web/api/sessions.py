@@ -1,6 +1,5 @@
 """Routes of sessions. No call switches the beam on: arming allows the gate to do so."""
 
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
@@ -182,7 +181,8 @@ def start_session(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.Session:
     """Start the session: open the source and train the motion model, disarmed."""
-    return call.act(session_id, request.operator, call.services.runner.start)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.start(session_id, operator)
 
 
 @router.post("/{session_id}/arm", name="session.arm", responses=ARM)
@@ -222,8 +222,8 @@ def set_reference(
 
     Far from the fraction's first reference it needs a reason, and the permission `gate.arm`.
     """
-    action = partial(call.services.runner.set_reference, request=request, may_exceed=call.may_exceed)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.set_reference(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/position-check", name="session.position_check", responses=SIGN)
@@ -234,8 +234,8 @@ def sign_position(
 
     Beyond the tolerance, and where the surface does not determine it, it needs a reason and the permission `gate.arm`.
     """
-    action = partial(call.services.runner.sign_position, request=request, may_exceed=call.may_exceed)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.sign_position(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/countersign", name="session.countersign", responses=COUNTERSIGN)
@@ -254,8 +254,8 @@ def countersign(
     if request.name is not None and request.password is not None:
         attempt = Attempt(name=request.name, password=request.password.get_secret_value(), address=address)
         signer = desk.second_person(attempt, Permission.GATE_REFERENCE)
-    action = partial(call.services.runner.countersign, state=request.state, signer=signer)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.countersign(session_id, operator, state=request.state, signer=signer)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
@@ -266,8 +266,8 @@ def acknowledge_fault(
 
     An acknowledged alarm that does not latch stays active until its cause is gone.
     """
-    action = partial(call.services.runner.acknowledge, alarms=request.alarms)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.acknowledge(session_id, operator, alarms=request.alarms)
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
@@ -287,8 +287,8 @@ def release_beam(
 
     A person without a hold releases those of all others. Refused to a program without a hold, and where nobody holds.
     """
-    action = partial(call.services.runner.release, is_person=call.caller.identity.is_person)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.release(session_id, operator, is_person=call.caller.identity.is_person)
 
 
 @router.post(
@@ -318,8 +318,8 @@ def correct_baseline(
 
     Far from the fraction's first reference it needs a person, and a reason.
     """
-    action = partial(call.services.runner.correct_baseline, request=request, may_exceed=call.may_exceed)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.correct_baseline(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post(
@@ -335,8 +335,8 @@ def set_window(
     Signals and kinds of conditions stay those of the session. A baseline correction ends with it. Far beyond the
     fraction's first armed window it needs a person who may arm, and a reason.
     """
-    action = partial(call.services.runner.set_window, request=request, may_exceed=call.may_exceed)
-    return call.act(session_id, request.operator, action)
+    with call.acting(session_id, request.operator) as operator:
+        return call.services.runner.set_window(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
