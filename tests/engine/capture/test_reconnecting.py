@@ -19,6 +19,13 @@ def room():
     held.source.close()
 
 
+def unplug(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+
+
 def test_frames_pass_through_as_they_are(room):
     frames = [room.source.read(0.1) for _ in range(3)]
     assert [(one.index, one.timestamp_us, one.missed_frames) for one in frames] == [
@@ -124,10 +131,7 @@ def test_a_camera_that_never_showed_a_frame_is_not_given_up_here(room):
 
 @pytest.mark.parametrize("change", [{"serial": "B2"}, {"name": "Other"}, {"depth_size": (2, 3)}], ids=str)
 def test_another_camera_is_not_taken_for_this_one(room, change):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.is_plugged, room.described = True, replace(OURS, **change)
     for _ in range(3):
         room.looks.release()
@@ -178,10 +182,7 @@ def test_without_a_calibration_a_camera_without_a_serial_number_comes_back(namel
 
 
 def test_a_camera_that_is_back_without_a_picture_is_not_back(room):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.is_plugged, room.is_silent = True, True
     for _ in range(3):
         room.looks.release()
@@ -192,10 +193,7 @@ def test_a_camera_that_is_back_without_a_picture_is_not_back(room):
 
 
 def test_whatever_a_driver_raises_it_is_looked_for_on(room):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.is_plugged = True
     room.source._search._make = lambda: 1 / 0
     for _ in range(3):
@@ -209,10 +207,7 @@ def test_whatever_a_driver_raises_it_is_looked_for_on(room):
 
 
 def test_closing_while_it_is_away_ends_the_search_and_leaves_nothing_open(room):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.source.close()
     assert not [one for one in threading.enumerate() if one.name == "camera-search"]
     with pytest.raises(SourceLostError):
@@ -220,10 +215,7 @@ def test_closing_while_it_is_away_ends_the_search_and_leaves_nothing_open(room):
 
 
 def test_a_camera_that_was_found_and_never_taken_is_closed(room):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.is_plugged = True
     search = room.source._search
     while search._found is None:
@@ -234,10 +226,7 @@ def test_a_camera_that_was_found_and_never_taken_is_closed(room):
 
 
 def test_opened_again_it_begins_anew(room):
-    room.source.read(0.1)
-    room.is_plugged = False
-    with pytest.raises(SourceAwayError):
-        room.source.read(0.1)
+    unplug(room)
     room.is_plugged = True
     room.until_back()
     room.source.open()

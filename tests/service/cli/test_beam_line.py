@@ -1,6 +1,5 @@
 """``tidegate beam-line check``: what it measures, what it refuses, and that it never leaves a line on."""
 
-import os
 import threading
 
 import pytest
@@ -11,17 +10,10 @@ from service.cli import app
 from tests.support.beam.receivers import TIMES, receiver
 from tests.support.site_settings import give_settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_settings_around")]
 
 SAFE = "--yes-the-beam-is-safe"
 TRIES = 6
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 def run(*arguments):

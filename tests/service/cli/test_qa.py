@@ -27,20 +27,18 @@ from tests.support.repository import ROOT
 from tests.support.site_settings import give_settings, with_config
 from tests.support.waiting import eventually
 
-pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.verification]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.slow,
+    pytest.mark.verification,
+    pytest.mark.usefixtures("no_settings_around"),
+]
 
 ME = ("--operator", "A. Physicist")
 PATIENCE_S = 120.0
 NEEDED_OF_A_SESSION = (
     *("status_detail", "patient_reference", "plan_id", "fraction_id", "operator", "source", "window", "calibration_id"),
 )
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture(scope="module")

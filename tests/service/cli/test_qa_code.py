@@ -1,6 +1,5 @@
 """``tidegate qa code``: made at the machine beside a running service, for a physicist, audited; and what it opens."""
 
-import os
 from datetime import UTC, datetime
 
 import pytest
@@ -16,18 +15,13 @@ from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 from service.storage.files.folder_lock import alone_in
 
+pytestmark = pytest.mark.usefixtures("no_settings_around")
+
 PEOPLE = {
     "A. Physicist": {Role.PHYSICIST},
     "B. Therapist": {Role.THERAPIST, Role.ADMIN},
     "C. Gone": {Role.PHYSICIST},
 }
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture

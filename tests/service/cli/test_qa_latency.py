@@ -1,7 +1,6 @@
 """``tidegate qa latency`` and ``qa cameras``: what is stored and printed, what is refused, and its exit codes."""
 
 import json
-import os
 import sqlite3
 from contextlib import closing
 
@@ -18,17 +17,12 @@ from service.qa.latency.rig import LatencyJob, LatencyRig
 from tests.support.service.clinical_site import CLINICAL, environment
 from tests.support.site_settings import give_settings
 
+pytestmark = pytest.mark.usefixtures("no_settings_around")
+
 ME = ("--operator", "A. Physicist")
 REAL_LINE = {"TIDEGATE_BEAM_LINE": "modbus-tcp", "TIDEGATE_BEAM_MODBUS_HOST": "127.0.0.1"}
 SAFE = "--yes-the-beam-is-safe"
 SECONDS = 30.0
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture

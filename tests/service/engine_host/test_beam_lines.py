@@ -23,17 +23,12 @@ from tests.support.beam.receivers import receiver
 from tests.support.service.clinical_site import OBLIGATORY, environment
 from tests.support.site_settings import give_settings
 
+pytestmark = pytest.mark.usefixtures("no_settings_around")
+
 TCP = {"BEAM_LINE": "modbus-tcp", "BEAM_MODBUS_HOST": "127.0.0.1"}
 RTU = {"BEAM_LINE": "modbus-rtu", "BEAM_RTU_DEVICE": "/dev/ttyUSB0"}
 RELAY = {"BEAM_LINE": "serial-relay", "BEAM_RELAY_DEVICE": "/dev/ttyUSB1"}
 CLINICAL = environment({"mode": "clinical", **OBLIGATORY, "hardware_dead_man": True})
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """One program at a time has a data folder, and so its beam line."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from tests.support.beam.receivers import receiver
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.waiting
+pytestmark = [pytest.mark.waiting, pytest.mark.usefixtures("no_settings_around")]
 
 PULSE = ("--pulse", "60", "--yes-the-beam-is-safe", "--repeats", "1")
 HOLDER = """
@@ -25,13 +24,6 @@ with alone_in(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture

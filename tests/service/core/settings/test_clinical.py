@@ -1,7 +1,6 @@
 """Clinical mode: narrower bounds, and what is obligatory there, named all at once when it is missing."""
 
 import dataclasses
-import os
 import re
 
 import pytest
@@ -17,6 +16,8 @@ from tests.support.generated_sections import are_as_made
 from tests.support.service.clinical_site import CLINICAL, LINE, OBLIGATORY, clinical_settings, environment
 from tests.support.site_settings import give_settings
 
+pytestmark = pytest.mark.usefixtures("no_settings_around")
+
 NOT_NARROWER = {
     "dwell_ms": "min_dwell_ms is its bound",
     "min_on_ms": "only shortens the beam's time",
@@ -28,13 +29,6 @@ EDGES = [
     for name, bound in CLINICAL_BOUNDS.items()
     for edge, beyond in ((bound.low, bound.low - 0.01), (bound.high, bound.high + 0.01))
 ]
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 @pytest.fixture

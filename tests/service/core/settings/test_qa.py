@@ -1,7 +1,5 @@
 """The site's bounds of QA: real settings, made from the table of checks, bounded, and refused by name."""
 
-import os
-
 import pytest
 
 from engine.qa.checks import CHECKS
@@ -9,16 +7,9 @@ from service.core.settings.qa import setting_of
 from service.core.settings.settings import SettingsError, load_settings
 from tests.support.site_settings import give_settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_settings_around")]
 
 BOUNDS = [(check, bound) for check in CHECKS for bound in ("warn", "fail")]
-
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
 
 
 def variable(check, bound):

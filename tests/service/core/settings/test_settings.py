@@ -17,12 +17,7 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, make_session_body
 from tests.support.site_settings import give_settings
 
-
-@pytest.fixture(autouse=True)
-def no_settings_around(monkeypatch):
-    for name in list(os.environ):
-        if name.startswith("TIDEGATE_"):
-            monkeypatch.delenv(name)
+pytestmark = pytest.mark.usefixtures("no_settings_around")
 
 
 def test_without_settings_the_service_listens_on_this_machine_only():
