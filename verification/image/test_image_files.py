@@ -60,7 +60,7 @@ def test_version_revision_and_time_are_labels():
 
 def test_every_package_is_pinned_by_its_hash():
     installs = re.findall(r"pip install [^&]*", " ".join(INSTRUCTIONS))
-    assert len(installs) == 4
+    assert len(installs) == 5
     for install in installs:
         assert "--require-hashes" in install or "--no-index --no-deps /wheel" in install, install
 

@@ -85,7 +85,6 @@ def test_the_stream_states_hello_and_is_idle_while_no_session_runs(client):
             "schema": "tidegate.live/1",
             "version": __version__,
             "form": "full",
-            "encoding": "json",
             "ping_s": 1.0,
         }
         first, second = socket.receive_json(), socket.receive_json()

@@ -39,7 +39,7 @@ def test_events_carry_the_messages_of_the_stream_with_the_frame_as_their_id(serv
         first = next_of(events, "sample")
         service.frames(1)
         second = next_of(events, "sample")
-    assert (hello["form"], hello["encoding"]) == ("thin", "json")
+    assert hello["form"] == "thin"
     assert (first["id"], second["id"]) == (f"{session_id}:0", f"{session_id}:1")
     assert json.loads(second["data"])["frame_index"] == 1
 
@@ -103,5 +103,5 @@ def test_a_client_that_goes_leaves_its_place(service: Served):
     with service.http() as client, client.stream("GET", PATH) as answer:
         events = events_of(answer)  # kept: httpx closes an answer that nobody iterates over any more
         next_of(events, "hello")
-        assert service.hub.reading().clients == {("sse", "full", "json"): 1}
+        assert service.hub.reading().clients == {("sse", "full"): 1}
     eventually(lambda: not service.hub.reading().clients)
