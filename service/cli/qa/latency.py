@@ -2,13 +2,12 @@
 
 import secrets
 import uuid
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from engine.capture import SourceDescription
 from engine.qa import QaBaseline, QaKind, opened
 from engine.qa.latency import SECONDS_BOUNDS
+from service.cli.qa.options import LatencyOptions
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
@@ -22,23 +21,6 @@ from service.storage.database.engine import Database
 
 COMMAND = "qa latency"
 MAX_VIRTUAL_DELAY_MS = 500.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LatencyOptions:
-    """The options of a measurement."""
-
-    operator: str
-    camera: str | None = None
-    output_delay_ms: float | None = None
-    seconds: float = 60.0
-    is_safe: bool = False
-    note: str = ""
-    out: Path | None = None
-    data: Path | None = None
-    is_simulated: bool = False
-    seed: int | None = None
-    fault_delay_ms: float = 40.0
 
 
 def measure_camera(options: LatencyOptions) -> str:

@@ -1,13 +1,13 @@
 """A QA run on the command line: the same as the service's, in the service's data folder."""
 
 import uuid
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy.orm import Session
 
 from engine.calibration import Calibration, load_calibration
+from service.cli.qa.options import RunOptions
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
@@ -22,33 +22,6 @@ from service.storage.database.engine import Database
 
 CALIBRATION_NAME = "calibration.json"
 DEVICE = "device"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOptions:
-    """The options of a run."""
-
-    kind: schemas.Kind
-    operator: str
-    plate: str | None = None
-    phantom: str | None = None
-    trace: Path | None = None
-    window: str | None = None
-    calibration: Path | None = None
-    part: float = 0.5
-    seconds: float | None = None
-    starts_us: int | None = None
-    repeats: int = 20
-    pulse_ms: float = 200.0
-    is_safe: bool = False
-    note: str = ""
-    out: Path | None = None
-    data: Path | None = None
-    is_simulated: bool = False
-    seed: int = 1
-    fault_offset_mm: float = 0.0
-    fault_delay_ms: float = 0.0
-    fault_duty_percent: float = 0.0
 
 
 def do_run(options: RunOptions) -> str:
@@ -78,7 +51,7 @@ def _request(options: RunOptions, calibration: Calibration | None) -> schemas.Qa
     fields: dict[str, Any] = {
         "kind": options.kind,
         "operator": options.operator,
-        "beam": {"repeats": options.repeats, "pulse_ms": options.pulse_ms},
+        "beam": {"repeats": options.repeats, "pulse_ms": options.pulse},
         "is_beam_safe": options.is_safe,
         "note": options.note,
     }

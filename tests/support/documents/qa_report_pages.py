@@ -10,7 +10,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from service.cli.qa.run import RunOptions, do_run
+from service.cli.qa.options import RunOptions
+from service.cli.qa.run import do_run
 from service.core.settings.database_place import DATABASE_NAME
 from service.qa import queries, views
 from service.qa.report.report import report_pdf
