@@ -41,8 +41,8 @@ $(BIN)/uv: requirements-dev.lock
 	@touch $@
 
 # What runs: the packages of the room's lock, Tidegate itself, and the lab beside it.
-$(PRODUCT): $(BIN)/uv requirements.lock pyproject.toml setup.py lab/pyproject.toml $(wildcard engine/core/compiled/*.[ch])
-	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements.lock
+$(PRODUCT): $(BIN)/uv requirements.lock requirements-lab.lock pyproject.toml setup.py lab/pyproject.toml $(wildcard engine/core/compiled/*.[ch])
+	@$(UV_INSTALL) --python $(BIN)/python --require-hashes -r requirements.lock -r requirements-lab.lock
 	@echo "Compiling the frame path"
 	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@$(UV_INSTALL) --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable ./lab

@@ -37,8 +37,7 @@ from tests.support.service.processes import free_port
 from verification.image.container import ADDRESS, Container, Image, mounted, network, new_folder, run
 from verification.supply.sbom import trouble_with
 
-LARGEST_MB = 750
-"""65 MB of it set the reports of sessions; 700 before them."""
+LARGEST_MB = 700
 READY_S = 5.0
 START_S = 90.0
 PORT = 8443
