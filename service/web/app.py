@@ -50,6 +50,7 @@ from service.web.api import (
     users,
 )
 from service.web.api.problem_handlers import install_problem_handlers
+from service.web.api.route_problems import document_problems
 from service.web.container import Container, open_container
 from service.web.dependencies import guarded, require_json
 from service.web.middleware.guard import Guard
@@ -253,6 +254,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
         qa,
         server_sent_events,
     ):
+        document_problems(module.router.routes)
         api.include_router(module.router)
     root.include_router(api)
     root.include_router(websocket.router, prefix="/api/v1")

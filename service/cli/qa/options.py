@@ -8,6 +8,8 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+WITH_PHANTOM = frozenset({"phantom", "trace", "window", "starts_us", "fault_delay_ms", "fault_duty_percent"})
+"""Options that a daily run does not have."""
 Operator = Annotated[
     str, typer.Option(help="Name of the operator; stored and written to the audit log.", show_default=False)
 ]
@@ -85,10 +87,6 @@ class RunOptions:
     fault_duty_percent: Annotated[
         float, typer.Option(help="With --simulated: additional beam-on time per cycle [%].")
     ] = 0.0
-
-
-WITH_PHANTOM = frozenset({"phantom", "trace", "window", "starts_us", "fault_delay_ms", "fault_duty_percent"})
-"""Options that a daily run does not have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

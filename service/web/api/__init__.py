@@ -2,8 +2,6 @@
 
 from typing import Any
 
-from service.web.problems.table import HTTP_CODES, code_of, status_of
-
 PROBLEM_CONTENT = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 CODES = "x-problem-codes"
 """Extension key of a documented answer that lists the codes of its problems."""
@@ -25,21 +23,6 @@ MEANING = {
     503: "The engine, the camera or the database does not answer",
     507: "Not enough disk space for another session",
 }
-USUAL_CODES = {**HTTP_CODES, 422: "invalid_value", 500: "internal_error", 503: "storage_unavailable"}
-
-
-def problems(*kinds: type[Exception] | int) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI responses for the errors that a route may raise.
-
-    `service.web.openapi` adds the problems that any call can have (not logged in, body too large, database down).
-    A bare status stands for its usual code.
-    """
-    codes: dict[int, set[str]] = {}
-    for kind in kinds:
-        status = kind if isinstance(kind, int) else status_of(kind)
-        usual = {USUAL_CODES[status]} if status in USUAL_CODES else set()
-        codes.setdefault(status, set()).update(usual if isinstance(kind, int) else {code_of(kind)})
-    return {status: problem_answer(status, found) for status, found in sorted(codes.items())}
 
 
 def problem_answer(status: int, codes: set[str]) -> dict[str, Any]:

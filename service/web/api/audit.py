@@ -6,14 +6,12 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime
 
-from service.core.errors import AuditBusyError, NotFoundError
 from service.core.list_filters import AuditFilter
 from service.core.schemas.base import Identifier, Name
 from service.storage.audit import Outcome
 from service.storage.audit.export import MEDIA, ExportRequest
 from service.storage.audit.log import AuditPage, AuditVerification
 from service.web import dependencies
-from service.web.api import problems
 
 ACTION = r"^[a-z_]+\.[a-z_]+$"
 router = APIRouter(prefix="/audit", tags=["audit"])
@@ -38,7 +36,7 @@ def list_audit(
     return pages.answer(services.audit.page(pages.cursor, pages.limit, session_id, wanted))
 
 
-@router.get("/verify", responses=problems(NotFoundError, AuditBusyError))
+@router.get("/verify")
 def verify_audit(
     services: dependencies.AppServices,
     after: Annotated[int, Query(ge=0, le=2**53, description="Continue after this verified row")] = 0,
@@ -51,7 +49,7 @@ def verify_audit(
 @router.get(
     "/export",
     response_class=Response,
-    responses={200: {"description": "One row per line", "content": NDJSON}, **problems(NotFoundError)},
+    responses={200: {"description": "One row per line", "content": NDJSON}},
 )
 def export_audit(
     services: dependencies.AppServices,

@@ -5,19 +5,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 
 from engine.calibration.formats import IMPORT_SCHEMA
-from engine.core.errors import CalibrationError
 from service.access.request.identity import NOT_GIVEN
 from service.core.conditional import etag_of
-from service.core.errors import BoundError, NotFoundError, OperatorMismatchError
 from service.core.schemas.base import Name
 from service.core.schemas.records import CalibrationDetail, CalibrationPage, UploadedCalibration
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 UPLOAD: dict[int | str, dict[str, Any]] = {
     200: {"model": UploadedCalibration, "description": "The same content is stored already"},
-    **problems(BoundError, CalibrationError, OperatorMismatchError),
 }
 TEXT = {"schema": {"type": "string"}}
 DOCUMENT = {
@@ -92,7 +88,7 @@ def list_calibrations(
     return pages.answer(services.calibrations.page(pages.cursor, pages.limit, camera))
 
 
-@router.get("/{calibration_id}", responses=problems(NotFoundError))
+@router.get("/{calibration_id}")
 def read_calibration(
     calibration_id: dependencies.CalibrationId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
 ) -> CalibrationDetail:

@@ -4,18 +4,9 @@ from fastapi import APIRouter, Response
 
 from service.access.login.cookies import set_screen_cookie
 from service.access.service import AccessService
-from service.core.errors import (
-    BoundError,
-    LockedOutError,
-    NotFoundError,
-    OperatorMismatchError,
-    PairingRefusedError,
-    SessionStateError,
-)
 from service.core.schemas import coaching
 from service.core.schemas.base import Identifier
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(tags=["coaching"])
 
@@ -28,9 +19,7 @@ def open_pairing_code(caller: dependencies.Caller, desk: dependencies.Access) ->
     return coaching.PairingCodeView(code=opened.code, expires_at=opened.expires_at, expires_in_s=round(left_s, 1))
 
 
-@router.post(
-    "/coach/pair", status_code=204, name="screen.pair", responses=problems(PairingRefusedError, LockedOutError)
-)
+@router.post("/coach/pair", status_code=204, name="screen.pair")
 def pair_screen(
     body: coaching.PairRequest, desk: dependencies.Access, address: dependencies.Address, response: Response
 ) -> None:
@@ -45,7 +34,7 @@ def list_screens(desk: dependencies.Access) -> coaching.ScreenList:
     return _screens(desk)
 
 
-@router.post("/coach/screens/{screen_id}/end", name="screen.end", responses=problems(NotFoundError))
+@router.post("/coach/screens/{screen_id}/end", name="screen.end")
 def end_screen(screen_id: Identifier, caller: dependencies.Caller, desk: dependencies.Access) -> coaching.ScreenList:
     """End a pairing; the screen's stream closes within two seconds. Returns the screens that are left."""
     desk.screens.end(screen_id, by=caller.name)
@@ -59,7 +48,7 @@ def read_watcher(caller: dependencies.Caller) -> coaching.WatcherView:
     return coaching.WatcherView(is_screen=is_screen, expires_at=caller.identity.until if is_screen else None)
 
 
-@router.get("/sessions/{session_id}/coaching", responses=problems(NotFoundError, SessionStateError))
+@router.get("/sessions/{session_id}/coaching")
 def read_coaching(session_id: dependencies.SessionId, services: dependencies.AppServices) -> coaching.CoachingView:
     """Return what the patient screen shows of the running session."""
     return _view(services.coaching.settings(session_id))
@@ -68,7 +57,6 @@ def read_coaching(session_id: dependencies.SessionId, services: dependencies.App
 @router.put(
     "/sessions/{session_id}/coaching",
     name="coaching.set",
-    responses=problems(NotFoundError, SessionStateError, BoundError, OperatorMismatchError),
 )
 def set_coaching(
     session_id: dependencies.SessionId,

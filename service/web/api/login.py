@@ -13,29 +13,14 @@ from service.access.login.cookies import drop_login_cookie, set_login_cookie, to
 from service.access.login.logins import Attempt
 from service.access.request.identity import Identity
 from service.access.service import AccessService
-from service.core.errors import (
-    BoundError,
-    LocalLoginRefusedError,
-    LockedOutError,
-    LoginFailedError,
-    NotFoundError,
-    OutsideUserError,
-    PasswordServiceBusyError,
-    WrongPasswordError,
-)
 from service.core.permissions import permissions_of
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(tags=["access"])
-LOG_IN = problems(BoundError, LoginFailedError, LocalLoginRefusedError, LockedOutError, PasswordServiceBusyError)
-PASSWORD = problems(
-    NotFoundError, BoundError, OutsideUserError, WrongPasswordError, LockedOutError, PasswordServiceBusyError
-)
 ResultT = TypeVar("ResultT")
 
 
-@router.post("/login", name="user.login", responses=LOG_IN)
+@router.post("/login", name="user.login")
 async def log_in(
     body: schemas.LoginRequest,
     desk: dependencies.Access,
@@ -75,7 +60,7 @@ def who_am_i(caller: dependencies.Caller, desk: dependencies.Access) -> schemas.
     return person_view(desk, desk.person(caller.identity), login)
 
 
-@router.post("/me/password", status_code=204, name="user.password", responses=PASSWORD)
+@router.post("/me/password", status_code=204, name="user.password")
 async def change_password(
     body: schemas.PasswordRequest, caller: dependencies.Caller, desk: dependencies.Access, address: dependencies.Address
 ) -> None:
@@ -91,13 +76,13 @@ async def change_password(
     await _done(desk.passwords.submit(work))
 
 
-@router.get("/me/logins", responses=problems(NotFoundError))
+@router.get("/me/logins")
 def list_my_logins(caller: dependencies.Caller, desk: dependencies.Access) -> schemas.LoginList:
     """List the caller's log-ins."""
     return logins_view(desk, desk.person(caller.identity), caller.identity)
 
 
-@router.post("/me/logins/{login_id}/end", status_code=204, name="user.logout_other", responses=problems(NotFoundError))
+@router.post("/me/logins/{login_id}/end", status_code=204, name="user.logout_other")
 def end_my_login(login_id: schemas.LoginId, caller: dependencies.Caller, desk: dependencies.Access) -> None:
     """End one of the caller's log-ins."""
     person = desk.person(caller.identity)

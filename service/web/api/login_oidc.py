@@ -20,7 +20,6 @@ from service.access.oidc.people import AuthorizationResponse
 from service.access.oidc.service import BUSY, DISABLED, NOT_OFFERED, STORAGE, UNAVAILABLE, OidcService, Refusal
 from service.core.schemas.base import Answer
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(tags=["access"])
 PLAIN_NAME = "tidegate_oidc"
@@ -98,7 +97,7 @@ def begin_oidc_login(oidc: Oidc, desk: dependencies.Access, address: dependencie
     return answer
 
 
-@router.get("/login/oidc/return", status_code=303, response_class=HTMLResponse, responses=PAGE | problems(422))
+@router.get("/login/oidc/return", status_code=303, response_class=HTMLResponse, responses=PAGE)
 def finish_oidc_login(
     request: Request,
     oidc: Oidc,

@@ -4,32 +4,18 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, TrainingRefusedError
 from service.core.conditional import etag_of
-from service.core.errors import BoundError, EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 from service.core.schemas import sessions
 from service.core.schemas.base import Identifier
 from service.core.schemas.records import Model, ModelPage, ModelSimilarity, QualityMaps, Spectrum
 from service.web import dependencies
-from service.web.api import problems
 from service.web.operator_calls import Operated
 
 router = APIRouter(tags=["models"])
 OtherModel = Annotated[Identifier, Query(description="The model that it is compared with")]
-READ = problems(NotFoundError)
-ACT = problems(
-    NotFoundError,
-    OperatorMismatchError,
-    SessionStateError,
-    CommandRefusedError,
-    ModelError,
-    ModelMismatchError,
-    TrainingRefusedError,
-    EngineTimeoutError,
-)
 
 
-@router.get("/sessions/{session_id}/models", responses=READ)
+@router.get("/sessions/{session_id}/models")
 def list_session_models(
     session_id: dependencies.SessionId, services: dependencies.AppServices, pages: dependencies.Pages50
 ) -> ModelPage:
@@ -37,7 +23,7 @@ def list_session_models(
     return pages.answer(services.models.page(session_id, pages.cursor, pages.limit))
 
 
-@router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)
+@router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain")
 def retrain_model(
     session_id: dependencies.SessionId, request: sessions.RetrainRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -46,7 +32,7 @@ def retrain_model(
         return call.services.runner.retrain(session_id, operator, keeps_reference=request.keeps_reference)
 
 
-@router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
+@router.post("/sessions/{session_id}/models/apply", name="model.apply")
 def apply_model(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -55,7 +41,7 @@ def apply_model(
         return call.services.runner.apply_model(session_id, operator)
 
 
-@router.get("/models/{model_id}", responses=READ)
+@router.get("/models/{model_id}")
 def read_model(
     model_id: dependencies.ModelId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
 ) -> Model:
@@ -64,19 +50,19 @@ def read_model(
     return fresh.answer(model, etag_of("model", model.id, model.sha256, model.is_active))
 
 
-@router.get("/models/{model_id}/spectrum", responses=READ)
+@router.get("/models/{model_id}/spectrum")
 def read_spectrum(model_id: dependencies.ModelId, services: dependencies.AppServices) -> Spectrum:
     """Return the share of the motion that each component explains."""
     return services.models.spectrum(model_id)
 
 
-@router.get("/models/{model_id}/quality-maps", responses=problems(NotFoundError, ModelError))
+@router.get("/models/{model_id}/quality-maps")
 def read_quality_maps(model_id: dependencies.ModelId, services: dependencies.AppServices) -> QualityMaps:
     """Return the deepest breath of the training, measured and reconstructed, and the map of the residuals."""
     return services.models.quality_maps(model_id)
 
 
-@router.get("/models/{model_id}/similarity", responses=problems(NotFoundError, BoundError, ModelError))
+@router.get("/models/{model_id}/similarity")
 def read_similarity(
     model_id: dependencies.ModelId, services: dependencies.AppServices, other: OtherModel
 ) -> ModelSimilarity:
@@ -84,7 +70,7 @@ def read_similarity(
     return services.models.similarity(model_id, other)
 
 
-@router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)
+@router.post("/models/{model_id}/activate", name="model.activate")
 def activate_model(
     model_id: dependencies.ModelId,
     request: sessions.OperatorRequest,

@@ -6,42 +6,15 @@ from fastapi import APIRouter, Query, Response
 
 from service.access.request.identity import NOT_GIVEN
 from service.core.conditional import etag_of
-from service.core.errors import (
-    BoundError,
-    NotFoundError,
-    OperatorMismatchError,
-)
 from service.core.list_filters import PlanFilter
 from service.core.schemas.base import Name
 from service.core.schemas.plans import Plan, PlanPage, PlanSessionRequest, PreparedSession
-from service.planning.rt_plan import errors
 from service.web import dependencies
-from service.web.api import problems
-from service.web.api.sessions import CREATE_ERRORS
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 IMPORT: dict[int | str, dict[str, Any]] = {
     200: {"model": Plan, "description": "The plan is stored already, with the same content"},
-    **problems(
-        errors.PlanError,
-        errors.PlanFormatError,
-        errors.PlanTruncatedError,
-        errors.PlanKindError,
-        errors.PlanBoundError,
-        errors.PlanConflictError,
-        errors.PlanBusyError,
-        OperatorMismatchError,
-    ),
 }
-PREPARE = problems(
-    *CREATE_ERRORS,
-    errors.PlanGatingError,
-    errors.PlanPositionError,
-    errors.PlanRejectedError,
-    errors.PlanContradictedError,
-    errors.FractionDoneError,
-    errors.OverrideNotPersonalError,
-)
 FILE = {
     "requestBody": {
         "required": True,
@@ -72,7 +45,7 @@ def import_plan(
     return stored.answer
 
 
-@router.get("", responses=problems(BoundError))
+@router.get("")
 def list_plans(
     services: dependencies.AppServices,
     pages: dependencies.Pages50,
@@ -87,7 +60,7 @@ def list_plans(
     return pages.answer(services.plans.page(pages.cursor, pages.limit, wanted))
 
 
-@router.get("/{plan_id}", responses=problems(NotFoundError))
+@router.get("/{plan_id}")
 def read_plan(
     plan_id: dependencies.PlanId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
 ) -> Plan:
@@ -97,7 +70,7 @@ def read_plan(
     return fresh.answer(plan, etag_of("plan", plan_id, contradicted))
 
 
-@router.post("/{plan_id}/sessions", status_code=201, name="session.create", responses=PREPARE)
+@router.post("/{plan_id}/sessions", status_code=201, name="session.create")
 def prepare_session(
     plan_id: dependencies.PlanId,
     request: PlanSessionRequest,

@@ -5,43 +5,15 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 
-from engine.core.errors import BeamLineError, CalibrationError, RecordingError, RuntimeMissingError, SourceLostError
 from service.core.conditional import etag_of
-from service.core.errors import (
-    BoundError,
-    NotFoundError,
-    OperatorMismatchError,
-    QaActiveError,
-    QaCodeError,
-    QaStateError,
-    ServiceStoppingError,
-    SessionActiveError,
-)
 from service.core.list_filters import QaRunFilter
 from service.core.schemas.base import Identifier
 from service.qa import schemas as qa
 from service.qa.latency.schemas import CameraLatencyList
 from service.qa.views import baseline_etag
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(prefix="/qa", tags=["qa"])
-READ = problems(NotFoundError)
-START = problems(
-    NotFoundError,
-    BoundError,
-    OperatorMismatchError,
-    CalibrationError,
-    RecordingError,
-    QaActiveError,
-    QaCodeError,
-    SessionActiveError,
-    ServiceStoppingError,
-    RuntimeMissingError,
-    SourceLostError,
-    BeamLineError,
-)
-FIX = problems(NotFoundError, BoundError, OperatorMismatchError, QaActiveError, QaStateError)
 RunId = Annotated[Identifier, Path(description="Id of the QA run")]
 Check = Annotated[
     str,
@@ -56,7 +28,7 @@ Check = Annotated[
 TrendLimit = Annotated[int, Query(ge=1, le=500, description="Maximum number of runs")]
 
 
-@router.post("/runs", status_code=202, name="qa.start", responses=START)
+@router.post("/runs", status_code=202, name="qa.start")
 def start_qa_run(
     request: qa.QaRunRequest,
     caller: dependencies.Caller,
@@ -83,14 +55,14 @@ def list_qa_runs(
     return pages.answer(services.qa_archive.page(pages.cursor, pages.limit, QaRunFilter(kind=kind, verdict=verdict)))
 
 
-@router.get("/runs/{run_id}", responses=READ)
+@router.get("/runs/{run_id}")
 def read_qa_run(run_id: RunId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch) -> qa.QaRunDetail:
     """Read a run with its checks, or its progress."""
     detail = services.qa_archive.detail(run_id)
     return fresh.answer(detail, etag_of("qa run", detail.model_dump(mode="json")))
 
 
-@router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=problems(NotFoundError, QaStateError))
+@router.post("/runs/{run_id}/cancel", name="qa.cancel")
 async def cancel_qa_run(
     run_id: RunId,
     operator: dependencies.WithdrawingOperator,
@@ -107,7 +79,6 @@ async def cancel_qa_run(
     response_class=Response,
     responses={
         200: {"description": "The report", "content": {"application/pdf": {}}},
-        **problems(NotFoundError, QaStateError),
     },
 )
 def read_qa_report(run_id: RunId, services: dependencies.AppServices, caller: dependencies.Caller) -> Response:
@@ -149,7 +120,7 @@ def read_qa_baseline(services: dependencies.AppServices, fresh: dependencies.IfN
     return fresh.answer(history, baseline_etag(history.number))
 
 
-@router.put("/baseline", name="qa.baseline", responses=FIX)
+@router.put("/baseline", name="qa.baseline")
 def fix_qa_baseline(
     request: qa.QaBaselineRequest,
     caller: dependencies.Caller,

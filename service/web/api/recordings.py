@@ -2,15 +2,13 @@
 
 from fastapi import APIRouter
 
-from service.core.errors import BoundError
 from service.core.schemas.records import RecordingPage
 from service.web import dependencies
-from service.web.api import problems
 
 router = APIRouter(prefix="/recordings", tags=["recordings"])
 
 
-@router.get("", responses=problems(BoundError))
+@router.get("")
 def list_recordings(services: dependencies.AppServices, pages: dependencies.Pages50) -> RecordingPage:
     """List the recordings in the site's folders, by path."""
     return pages.answer(services.recordings.page(pages.cursor, pages.limit))

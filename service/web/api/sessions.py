@@ -5,48 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
-from engine.control import JournalError
-from engine.core.errors import (
-    BeamLineError,
-    CalibrationError,
-    CommandRefusedError,
-    CountersignatureError,
-    HeadDirectionError,
-    ModelError,
-    ModelMismatchError,
-    PositionUncheckedError,
-    ReasonMissingError,
-    RecordingError,
-    ReferenceDistanceError,
-    RuntimeMissingError,
-    SourceLostError,
-)
 from engine.core.gate_state import GateState, HoldReason
 from service.access.login.logins import Attempt
-from service.core.errors import (
-    BoundError,
-    CameraLatencyError,
-    EngineProcessError,
-    EngineTimeoutError,
-    LocalLoginRefusedError,
-    LockedOutError,
-    MeshMissingError,
-    NotFoundError,
-    OperatorMismatchError,
-    PasswordServiceBusyError,
-    PersonRequiredError,
-    PictureMissingError,
-    QaActiveError,
-    QaOverdueError,
-    SamplesRemovedError,
-    SecondPersonError,
-    ServiceStoppingError,
-    SessionActiveError,
-    SessionStateError,
-    StartError,
-    StorageLowError,
-    StorageUnwritableError,
-)
 from service.core.list_filters import SessionFilter, TransitionFilter
 from service.core.permissions import Permission
 from service.core.schemas import sessions
@@ -56,76 +16,23 @@ from service.core.schemas.reports import SessionMoment, SessionReport, SessionTr
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
-from service.web.api import problems
 from service.web.operator_calls import Operated, Withdrawing
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
-READ = problems(NotFoundError)
 ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 SampleFormatQuery = Annotated[
     SampleFormat, Query(alias="format", description="`parquet` is available after the session is closed")
 ]
-SESSION_ERRORS = (
-    NotFoundError,
-    BoundError,
-    OperatorMismatchError,
-    RecordingError,
-    SessionActiveError,
-    QaActiveError,
-    ModelMismatchError,
-    CommandRefusedError,
-    RuntimeMissingError,
-    SourceLostError,
-    ServiceStoppingError,
-    EngineProcessError,
-)
-CREATE_ERRORS = (*SESSION_ERRORS, StorageLowError)
-"""Errors of creating a session, also from a plan."""
-CREATE = problems(*CREATE_ERRORS)
-START = problems(
-    *SESSION_ERRORS,
-    CalibrationError,
-    StartError,
-    SessionStateError,
-    ModelError,
-    BeamLineError,
-    JournalError,
-    StorageUnwritableError,
-)
-HOLD = problems(NotFoundError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError)
-COMMAND_ERRORS = (
-    NotFoundError,
-    OperatorMismatchError,
-    SessionStateError,
-    CommandRefusedError,
-    EngineTimeoutError,
-    BeamLineError,
-)
-ASK = problems(*COMMAND_ERRORS)
-MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError, BoundError)
-SIGN = problems(*COMMAND_ERRORS, PositionUncheckedError)
-COUNTERSIGN = problems(
-    *COMMAND_ERRORS,
-    *(CountersignatureError, SecondPersonError, LockedOutError, LocalLoginRefusedError, PasswordServiceBusyError),
-)
-WINDOW = problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError, ReasonMissingError)
-ARM = problems(
-    *COMMAND_ERRORS,
-    *(HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError, ReferenceDistanceError),
-    CountersignatureError,
-)
-REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError)
 LONGEST_S = 200_000.0
 TraceFrom = Annotated[float, Query(ge=0.0, le=LONGEST_S, allow_inf_nan=False, description="Since the first frame [s]")]
 TraceTo = Annotated[float, Query(gt=0.0, le=LONGEST_S, allow_inf_nan=False, description="After `from_s` [s]")]
 TracePoints = Annotated[
     int, Query(ge=10, le=5000, description="Ranges at most; fewer samples are returned as they are")
 ]
-SIGN_REPORT = problems(NotFoundError, SessionStateError, SamplesRemovedError, OperatorMismatchError)
 
 
-@router.post("", status_code=201, name="session.create", responses=CREATE)
+@router.post("", status_code=201, name="session.create")
 def create_session(
     request: sessions.SessionRequest,
     caller: dependencies.Caller,
@@ -161,7 +68,7 @@ def list_sessions(
     return pages.answer(services.sessions.page(pages.cursor, pages.limit, wanted))
 
 
-@router.get("/{session_id}", responses=READ)
+@router.get("/{session_id}")
 def read_session(
     session_id: dependencies.SessionId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
 ) -> sessions.SessionDetail:
@@ -176,7 +83,7 @@ def read_session(
     return fresh.answer(detail, etag, may_be_304=detail.status != "running")
 
 
-@router.post("/{session_id}/start", name="session.start", responses=START)
+@router.post("/{session_id}/start", name="session.start")
 def start_session(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.Session:
@@ -185,7 +92,7 @@ def start_session(
         return call.services.runner.start(session_id, operator)
 
 
-@router.post("/{session_id}/arm", name="session.arm", responses=ARM)
+@router.post("/{session_id}/arm", name="session.arm")
 def arm_session(
     session_id: dependencies.SessionId, request: sessions.ArmRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -196,7 +103,7 @@ def arm_session(
     return call.arm(session_id, request)
 
 
-@router.get("/{session_id}/arming", responses=READ)
+@router.get("/{session_id}/arming")
 def read_arming(
     session_id: dependencies.SessionId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
 ) -> ArmingSummary:
@@ -208,13 +115,13 @@ def read_arming(
     return fresh.answer(services.arming.of(session_id), etag, may_be_304=False)
 
 
-@router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
+@router.post("/{session_id}/disarm", name="session.disarm")
 async def disarm_session(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
     """Disarm the gate: hold the beam until a person arms again."""
     return await call.command(session_id, "disarm")
 
 
-@router.post("/{session_id}/reference", name="session.reference", responses=MOVE)
+@router.post("/{session_id}/reference", name="session.reference")
 def set_reference(
     session_id: dependencies.SessionId, request: sessions.ReferenceRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -226,7 +133,7 @@ def set_reference(
         return call.services.runner.set_reference(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
-@router.post("/{session_id}/position-check", name="session.position_check", responses=SIGN)
+@router.post("/{session_id}/position-check", name="session.position_check")
 def sign_position(
     session_id: dependencies.SessionId, request: sessions.PositionCheckRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -238,7 +145,7 @@ def sign_position(
         return call.services.runner.sign_position(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
-@router.post("/{session_id}/countersign", name="session.countersign", responses=COUNTERSIGN)
+@router.post("/{session_id}/countersign", name="session.countersign")
 def countersign(
     session_id: dependencies.SessionId,
     request: sessions.CountersignRequest,
@@ -258,7 +165,7 @@ def countersign(
         return call.services.runner.countersign(session_id, operator, state=request.state, signer=signer)
 
 
-@router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
+@router.post("/{session_id}/acknowledge", name="session.acknowledge")
 def acknowledge_fault(
     session_id: dependencies.SessionId, request: sessions.AcknowledgeRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -270,7 +177,7 @@ def acknowledge_fault(
         return call.services.runner.acknowledge(session_id, operator, alarms=request.alarms)
 
 
-@router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
+@router.post("/{session_id}/hold", name="session.hold")
 async def hold_beam(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
     """Hold the beam until it is released; the gate stays armed. Never refused while the session runs.
 
@@ -279,7 +186,7 @@ async def hold_beam(session_id: dependencies.SessionId, call: Withdrawing) -> se
     return await call.command(session_id, "hold")
 
 
-@router.post("/{session_id}/release", name="session.release", responses=ASK)
+@router.post("/{session_id}/release", name="session.release")
 def release_beam(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -294,7 +201,6 @@ def release_beam(
 @router.post(
     "/{session_id}/presence",
     status_code=204,
-    responses=problems(NotFoundError, OperatorMismatchError, PersonRequiredError, SessionStateError),
 )
 def note_presence(
     session_id: dependencies.SessionId,
@@ -310,7 +216,7 @@ def note_presence(
     services.runner.note_presence(session_id, caller.checked_actor(request.operator))
 
 
-@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=MOVE)
+@router.post("/{session_id}/baseline-correction", name="session.baseline_correction")
 def correct_baseline(
     session_id: dependencies.SessionId, request: BaselineCorrectionRequest, call: Operated
 ) -> sessions.SessionDetail:
@@ -325,7 +231,6 @@ def correct_baseline(
 @router.post(
     "/{session_id}/window",
     name="session.window",
-    responses=problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError),
 )
 def set_window(
     session_id: dependencies.SessionId, request: sessions.WindowRequest, call: Operated
@@ -339,7 +244,7 @@ def set_window(
         return call.services.runner.set_window(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
-@router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
+@router.post("/{session_id}/stop", name="session.stop")
 async def stop_session(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.Session:
     """Stop the session: hold the beam, end the engine, close the records."""
     return await call.act(session_id, call.runner.stop)
@@ -353,7 +258,6 @@ async def stop_session(session_id: dependencies.SessionId, call: Withdrawing) ->
             "description": "One row per depth frame",
             "content": {"text/csv": {"schema": {"type": "string"}}, ARROW: BINARY, PARQUET: BINARY},
         },
-        **problems(NotFoundError, SamplesRemovedError, SessionStateError),
     },
 )
 def export_samples(
@@ -369,7 +273,7 @@ def export_samples(
     return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
 
 
-@router.get("/{session_id}/trace", responses={**REPORT, **problems(BoundError)})
+@router.get("/{session_id}/trace")
 def read_trace(
     session_id: dependencies.SessionId,
     services: dependencies.AppServices,
@@ -381,7 +285,7 @@ def read_trace(
     return services.traces.part(session_id, from_s, to_s, points)
 
 
-@router.get("/{session_id}/moment", responses=REPORT)
+@router.get("/{session_id}/moment")
 def read_moment(
     session_id: dependencies.SessionId, services: dependencies.AppServices, at_s: TraceFrom = 0.0
 ) -> SessionMoment:
@@ -389,13 +293,13 @@ def read_moment(
     return services.traces.moment(session_id, at_s)
 
 
-@router.get("/{session_id}/report", responses=REPORT)
+@router.get("/{session_id}/report")
 def read_report(session_id: dependencies.SessionId, services: dependencies.AppServices) -> SessionReport:
     """Return the report of a session that is over: figures of its samples, events of the audit, versions."""
     return services.reports.of(session_id).report
 
 
-@router.post("/{session_id}/signature", name="session.signature", responses=SIGN_REPORT)
+@router.post("/{session_id}/signature", name="session.signature")
 def sign_report(
     session_id: dependencies.SessionId,
     request: SignatureRequest,
@@ -412,7 +316,7 @@ def sign_report(
 @router.get(
     "/{session_id}/report.pdf",
     response_class=Response,
-    responses={200: {"description": "The report", "content": {"application/pdf": BINARY}}, **REPORT},
+    responses={200: {"description": "The report", "content": {"application/pdf": BINARY}}},
 )
 def export_report_pdf(
     session_id: dependencies.SessionId, services: dependencies.AppServices, caller: dependencies.Caller
@@ -425,7 +329,7 @@ def export_report_pdf(
 @router.get(
     "/{session_id}/report.html",
     response_class=Response,
-    responses={200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}, **REPORT},
+    responses={200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
 )
 def export_report_html(
     session_id: dependencies.SessionId, services: dependencies.AppServices, caller: dependencies.Caller
@@ -453,7 +357,6 @@ def _exported(
     response_class=Response,
     responses={
         200: {"description": "Newest colour frame", "content": {"image/jpeg": BINARY}},
-        **problems(NotFoundError, PictureMissingError),
     },
 )
 def read_picture(session_id: dependencies.SessionId, services: dependencies.AppServices) -> Response:
@@ -463,13 +366,13 @@ def read_picture(session_id: dependencies.SessionId, services: dependencies.AppS
     return Response(picture.jpeg, media_type="image/jpeg", headers=headers)
 
 
-@router.get("/{session_id}/mesh", responses=problems(NotFoundError, MeshMissingError))
+@router.get("/{session_id}/mesh")
 def read_mesh(session_id: dependencies.SessionId, services: dependencies.AppServices) -> sessions.SurfaceMesh:
     """Return the surface of the newest frame as a mesh, in the depth camera's frame."""
     return services.runner.mesh(session_id)
 
 
-@router.get("/{session_id}/transitions", responses=READ)
+@router.get("/{session_id}/transitions")
 def list_transitions(
     session_id: dependencies.SessionId,
     services: dependencies.AppServices,

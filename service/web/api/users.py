@@ -6,16 +6,7 @@ from service.access.accounts import schemas
 from service.access.accounts.people import Change, Issued
 from service.access.accounts.records import User
 from service.core.conditional import etag_of
-from service.core.errors import (
-    BoundError,
-    LastAdminError,
-    NameTakenError,
-    NotFoundError,
-    OutsideUserError,
-    PasswordServiceBusyError,
-)
 from service.web import dependencies
-from service.web.api import problems
 from service.web.api.login import logins_view
 
 router = APIRouter(prefix="/users", tags=["access"])
@@ -27,16 +18,14 @@ def list_users(desk: dependencies.Access) -> schemas.UserList:
     return schemas.UserList(items=[_view(user) for user in desk.accounts.all()])
 
 
-@router.post(
-    "", status_code=201, name="user.create", responses=problems(BoundError, NameTakenError, PasswordServiceBusyError)
-)
+@router.post("", status_code=201, name="user.create")
 def add_user(body: schemas.UserRequest, caller: dependencies.Caller, desk: dependencies.Access) -> schemas.UserView:
     """Create a person; the answer contains a password that must be changed at the first log-in."""
     issued = desk.accounts.add(body.name, body.roles, by=caller.name, is_break_glass=body.is_break_glass)
     return _issued(issued)
 
 
-@router.get("/{name}", responses=problems(NotFoundError))
+@router.get("/{name}")
 def read_user(name: schemas.PersonName, desk: dependencies.Access, fresh: dependencies.IfNoneMatch) -> schemas.UserView:
     """Read a person; the ETag covers what an administrator changes, not the log-ins."""
     user = desk.accounts.get(name)
@@ -46,7 +35,6 @@ def read_user(name: schemas.PersonName, desk: dependencies.Access, fresh: depend
 @router.patch(
     "/{name}",
     name="user.change",
-    responses=problems(NotFoundError, BoundError, LastAdminError, OutsideUserError, PasswordServiceBusyError),
 )
 def change_user(
     name: schemas.PersonName,
@@ -68,7 +56,7 @@ def change_user(
     return _issued(issued)
 
 
-@router.get("/{name}/logins", responses=problems(NotFoundError))
+@router.get("/{name}/logins")
 def list_user_logins(
     name: schemas.PersonName, caller: dependencies.Caller, desk: dependencies.Access
 ) -> schemas.LoginList:
@@ -76,7 +64,7 @@ def list_user_logins(
     return logins_view(desk, desk.accounts.get(name), caller.identity)
 
 
-@router.post("/{name}/logins/{login_id}/end", status_code=204, name="user.end_login", responses=problems(NotFoundError))
+@router.post("/{name}/logins/{login_id}/end", status_code=204, name="user.end_login")
 def end_user_login(
     name: schemas.PersonName, login_id: schemas.LoginId, caller: dependencies.Caller, desk: dependencies.Access
 ) -> None:

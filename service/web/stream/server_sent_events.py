@@ -8,7 +8,6 @@ from starlette.types import Receive, Scope, Send
 
 from service.core.errors import StreamFullError
 from service.engine_host.roles import LiveFeed
-from service.web.api import problems
 from service.web.dependencies import access, caller, services
 from service.web.problems.table import problem_of, problem_response
 from service.web.stream.encoding import Shape, StreamQuery
@@ -63,7 +62,7 @@ class EventStream(Response):
 @router.get(
     "/live/events",
     response_class=Response,
-    responses={**STREAM, **problems(StreamFullError)},
+    responses={**STREAM},
 )
 async def stream_events(
     request: Request,

@@ -8,6 +8,7 @@ from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT202012
 
 from service.access.request.rules import RULES, SOCKET, TAKES_PERMISSION_AWAY
+from service.web.api.route_problems import PROBLEMS
 from service.web.openapi import contract_files
 from service.web.openapi.operations import WITH_RETRY
 from service.web.problems.catalogue import CATALOGUE
@@ -46,6 +47,7 @@ def test_every_call_that_has_a_rule_is_in_the_contract_and_no_other():
     reported = {(method, path) for method, path, _ in OPERATIONS}
     ruled = {call for call in RULES if call[0] not in {SOCKET, "HEAD"} and call[1] != "/api/v1/openapi.json"}
     assert reported == ruled
+    assert PROBLEMS.keys() <= {(method, path.removeprefix("/api/v1")) for method, path, _ in OPERATIONS}
 
 
 def test_a_call_has_one_tag_and_the_tag_is_explained(subtests):
