@@ -209,8 +209,6 @@ def test_every_package_and_every_folder_of_documents_has_a_budget():
 
 
 def test_the_lab_s_wheel_has_every_package_of_it():
-    packages = tomllib.loads((ROOT / "lab/pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"][
-        "packages"
-    ]
-    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "lab").rglob("__init__.py")}
-    assert set(packages) == {".".join(folder.parts) for folder in folders}
+    lab = tomllib.loads((ROOT / "lab/pyproject.toml").read_text(encoding="utf-8"))
+    folders = {".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "lab").rglob("__init__.py")}
+    assert set(lab["tool"]["setuptools"]["packages"]) == folders

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["engine", "service"]):
+with atheris.instrument_imports(include=["engine", "service", "lab"]):
     from verification.fuzz.targets import TARGETS
 
 from verification.fuzz.options import options_of

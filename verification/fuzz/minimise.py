@@ -12,7 +12,7 @@ from typing import Any
 from tests.support.repository import ROOT
 from verification.fuzz.target import Target
 
-OURS = tuple(f"{ROOT / package}/" for package in ("engine", "service"))
+OURS = tuple(f"{ROOT / package}/" for package in ("engine", "service", "lab"))
 Way = tuple[str, int, int]
 
 

@@ -31,7 +31,7 @@ def project_version(root: Path) -> str:
 
 def _other_versions(root: Path, version: str) -> Iterator[str]:
     places = {
-        "lab/pyproject.toml": r'(?m)^version = "([^"]+)"$',
+        "lab/pyproject.toml": r'(?ms)^version = "([^"]+)"$.*"tidegate==\1"',
         "engine/__init__.py": r'(?m)^__version__ = "([^"]+)"$',
         "openapi/openapi.json": r'"version": "([^"]+)"',
         "docker/sbom.cdx.json": r'"bom-ref": "pkg:generic/tidegate@([^"]+)"',

@@ -29,6 +29,7 @@ def ready(tmp_path):
     """A checkout that is ready to be released as 1.2.3."""
     files = {
         "pyproject.toml": '[project]\nversion = "1.2.3"\n',
+        "lab/pyproject.toml": 'version = "1.2.3"\ndependencies = ["tidegate==1.2.3"]\n',
         "engine/__init__.py": '__version__ = "1.2.3"\n',
         "openapi/openapi.json": '{"info": {"version": "1.2.3"}}',
         "openapi/released/1.2.3.json": '{"info": {"version": "1.2.3"}}',
@@ -53,6 +54,10 @@ def test_what_is_ready_has_nothing_against_it_tagged_or_not(ready):
 
 BROKEN = {
     "pyproject.toml": ('[project]\nversion = "1.2"\n', "MAJOR.MINOR.PATCH"),
+    "lab/pyproject.toml": (
+        'version = "1.2.3"\ndependencies = ["tidegate==1.2.2"]\n',
+        "lab/pyproject.toml: version missing",
+    ),
     "engine/__init__.py": ('__version__ = "1.2.2"\n', "engine/__init__.py: version 1.2.2"),
     "openapi/openapi.json": ('{"info": {"version": "1.2.4"}}', "openapi/openapi.json: version 1.2.4"),
     "openapi/released/1.2.3.json": ("{}", "must be a copy"),

@@ -26,6 +26,13 @@ def unplug(room):
         room.source.read(0.1)
 
 
+def is_looked_for(room, times):
+    for _ in range(times):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+
+
 def test_frames_pass_through_as_they_are(room):
     frames = [room.source.read(0.1) for _ in range(3)]
     assert [(one.index, one.timestamp_us, one.missed_frames) for one in frames] == [
@@ -47,10 +54,7 @@ def test_a_lost_camera_is_away_for_as_long_as_it_is_not_back(room):
     room.is_plugged = False
     with pytest.raises(SourceAwayError, match="unplugged"):
         room.source.read(0.1)
-    for _ in range(5):
-        room.looks.release()
-        with pytest.raises(SourceAwayError, match="unplugged"):
-            room.source.read(0.01)
+    is_looked_for(room, 5)
     assert room.made[0].closed == 1
 
 
@@ -133,10 +137,7 @@ def test_a_camera_that_never_showed_a_frame_is_not_given_up_here(room):
 def test_another_camera_is_not_taken_for_this_one(room, change):
     unplug(room)
     room.is_plugged, room.described = True, replace(OURS, **change)
-    for _ in range(3):
-        room.looks.release()
-        with pytest.raises(SourceAwayError):
-            room.source.read(0.05)
+    is_looked_for(room, 3)
     with pytest.raises(SourceAwayError, match="another camera is plugged in"):
         room.source.read(0.01)
     assert all(camera.closed for camera in room.made[1:])
@@ -184,10 +185,7 @@ def test_without_a_calibration_a_camera_without_a_serial_number_comes_back(namel
 def test_a_camera_that_is_back_without_a_picture_is_not_back(room):
     unplug(room)
     room.is_plugged, room.is_silent = True, True
-    for _ in range(3):
-        room.looks.release()
-        with pytest.raises(SourceAwayError):
-            room.source.read(0.05)
+    is_looked_for(room, 3)
     room.is_silent = False
     assert room.until_back().index == 1
 
@@ -196,10 +194,7 @@ def test_whatever_a_driver_raises_it_is_looked_for_on(room):
     unplug(room)
     room.is_plugged = True
     room.source._search._make = lambda: 1 / 0
-    for _ in range(3):
-        room.looks.release()
-        with pytest.raises(SourceAwayError):
-            room.source.read(0.05)
+    is_looked_for(room, 3)
     with pytest.raises(SourceAwayError, match="ZeroDivisionError"):
         room.source.read(0.01)
     room.source._search._make = room.make
@@ -240,10 +235,7 @@ def test_a_camera_whose_driver_hangs_is_not_tried_again_and_again(room):
     room.clock.advance_ns(SILENT_NS + 1)
     with pytest.raises(SourceAwayError):
         room.source.read(0.1)
-    for _ in range(5):
-        room.looks.release()
-        with pytest.raises(SourceAwayError):
-            room.source.read(0.05)
+    is_looked_for(room, 5)
     with pytest.raises(SourceAwayError, match="hangs in the camera's driver"):
         room.source.read(0.01)
     assert len(room.made) == 1
@@ -256,10 +248,7 @@ def test_a_look_that_hangs_is_the_only_one_that_does(room):
     lose(room)
     room.is_silent = room.hangs = True
     room.source._search._left = None  # the lost one was let go of: what hangs is what looks for it
-    for _ in range(8):
-        room.looks.release()
-        with pytest.raises(SourceAwayError):
-            room.source.read(0.05)
+    is_looked_for(room, 8)
     assert len(room.made) == 2
     room.is_silent = room.hangs = False
     assert room.until_back().index == 1

@@ -11,6 +11,7 @@ from service.access.request.rules import RULES
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from tests.support.browser.fake_service import DASHBOARD, ONE_TIME, SECRET, FakeService, api_key, person, user
 from tests.support.browser.tab import Tab
+from tests.support.waiting import eventually
 
 pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
@@ -203,7 +204,7 @@ def test_the_log_ins_of_a_person_are_ended_by_two_clicks(fake: FakeService, own_
     expect(row).to_contain_text("10.0.0.7")
     row.get_by_role("button").click()
     row.get_by_role("button").click()
-    assert [path for path, _ in fake.posts()] == [f"/users/Grace/logins/{'ab' * 16}/end"]
+    eventually(lambda: [path for path, _ in fake.posts()] == [f"/users/Grace/logins/{'ab' * 16}/end"])
 
 
 def test_an_administrator_is_led_to_the_office_by_the_log_in(fake: FakeService, own_tab: Tab):
