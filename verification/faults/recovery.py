@@ -23,7 +23,7 @@ STOP_AFTER_S = 25.0
 DOUBTED_S = 4.0
 """A surface that moved as no skin can is doubted until a person sets the zero: who looks on for so long does that."""
 
-DOUBTED = ("residual_high", "jump", "patient_shifted", "baseline_drifted")
+DOUBTED = ("residual_high", "jump", "surface_changed", "patient_shifted", "baseline_drifted")
 PERSISTS = 25
 """A fault that is there again though it was acknowledged so often is not one that goes."""
 
