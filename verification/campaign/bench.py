@@ -52,7 +52,7 @@ class Bench(ABC, Generic[Trial, Kept]):
                 return replace(outcome, note="\n".join([*stories, outcome.note]).strip())
 
     def rig(self, make: Callable[[Path], contextlib.AbstractContextManager[Any]], *, is_good: bool) -> Any:
-        """Return the rig, made anew in a folder of its own unless there is one that is good."""
+        """Return the rig; replace it, in another folder, unless it ``is_good`` for the next trial."""
         if self._rig is not None and not is_good:
             self.clear()
         if self._rig is None:

@@ -76,8 +76,8 @@ def test_the_hello_states_how_the_stream_was_understood(service: Served, session
             hello = json.loads(socket.recv(timeout=PATIENCE_S))
             sample = json.loads(socket.recv(timeout=PATIENCE_S))
     assert hello["type"] == "hello"
-    told = {name: hello[name] for name in ("schema", "form", "rate_hz", "session_id", "camera_fps")}
-    assert told == {
+    answered = {name: hello[name] for name in ("schema", "form", "rate_hz", "session_id", "camera_fps")}
+    assert answered == {
         "schema": "tidegate.live/1",
         "form": "thin",
         "rate_hz": 5.0,
