@@ -4,10 +4,8 @@ Others submit commands to an :class:`EngineLoop`, read its bounded queues and it
 recover what a killed engine left in its journal.
 """
 
-from engine.control.command_queue import (
-    MAX_WAIT_NS,
-    URGENT,
-    Command,
+from engine.control.fraction_checks import (
+    PositionState,
 )
 from engine.control.journal.format import (
     Entry,
@@ -23,20 +21,17 @@ from engine.control.journal.journal import (
     TransitionJournal,
     boot_id,
 )
-from engine.control.live_views import (
-    EngineStatus,
-)
 from engine.control.loop import (
     EngineLoop,
 )
-from engine.control.outputs import (
-    FrameRecord,
-    GateTransition,
-    LiveView,
-    LoopStatus,
+from engine.control.outputs import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.control.records import (
+    EngineStatus,
 )
-from engine.control.position_sign_off import (
-    PositionState,
+from engine.control.turn_inputs import (
+    MAX_WAIT_NS,
+    URGENT,
+    Command,
 )
 
 __all__ = [

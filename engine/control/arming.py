@@ -9,10 +9,8 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from engine.control.position_sign_off import PositionSignOff
-from engine.control.reference_budget import ReferenceBudget
-from engine.control.roles import Learner
-from engine.control.session_limits import SessionLimits
+from engine.control.fraction_checks import PositionSignOff, ReferenceBudget
+from engine.control.session_state import Learner, SessionLimits
 from engine.core.commands import Arm, Countersign
 from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError
 from engine.core.fraction_arming import FractionArming

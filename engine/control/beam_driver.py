@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from engine.beam.line import BeamLine
-from engine.control.turn_reader import LineAnswer
+from engine.control.turn_inputs import LineAnswer
 from engine.control.watchdog import Watchdog
 from engine.core.clock import Clock
 from engine.core.errors import BeamLineMismatchError, LeaseLapsedError

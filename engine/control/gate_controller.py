@@ -7,10 +7,10 @@ The interlocks are part of every decision, before and after its events.
 import math
 
 from engine.control.beam_driver import BeamDriver, LineOrders, LineReport
-from engine.control.decision_records import DecisionRecords
 from engine.control.outputs import Cause, Decision
-from engine.control.session_limits import SessionLimits
-from engine.control.turn_reader import TurnReader
+from engine.control.records import DecisionRecords
+from engine.control.session_state import SessionLimits
+from engine.control.turn_inputs import TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.breath import SignalChoice
 from engine.core.clock import NS_PER_MS, Clock

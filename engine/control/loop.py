@@ -17,18 +17,14 @@ from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
 from engine.control.arming import Arming
 from engine.control.beam_driver import LineOrders
-from engine.control.command_handler import CommandHandler, ModelFollower
-from engine.control.command_queue import Command, CommandQueue
-from engine.control.decision_records import DecisionRecords
 from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
-from engine.control.live_views import EngineStatus, LiveViews, no_camera_view, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
-from engine.control.roles import Learner, Measurer
-from engine.control.session_limits import SessionLimits
-from engine.control.turn_reader import TurnReader
-from engine.control.turns import TurnRunner
+from engine.control.records import DecisionRecords, EngineStatus, LiveViews, no_camera_view, no_signal
+from engine.control.session import EngineSession
+from engine.control.session_state import Learner, Measurer, SessionLimits
+from engine.control.turn_inputs import Command, CommandQueue, TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.clock import Clock
 from engine.core.errors import (
@@ -129,20 +125,16 @@ class EngineLoop:
             stop_requested=self._stop_requested,
             tap=tap,
         )
-        self._line = line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        self._supervisor = supervisor = FrameSupervisor(limits)
-        self._arming = arming = Arming(learner, self._limits, fraction_arming)
-        follower = ModelFollower(learner, self._limits)
+        self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
+        self._supervisor = FrameSupervisor(limits)
+        self._arming = Arming(learner, self._limits, fraction_arming)
         self._views = LiveViews(
             limits=self._limits,
             outputs=self._outputs,
             watchdog=self._watchdog,
             beam_on=beam_on,
-            reference_distance=arming.budget.present,
-            movement=lambda: supervisor.movement,
-            checks=lambda: supervisor.checks,
-            marker_travel_mm=lambda: supervisor.marker_travel_mm,
-            position=arming.position.present,
+            arming=self._arming,
+            supervisor=self._supervisor,
             camera_view=camera_view,
         )
         records = DecisionRecords(
@@ -150,33 +142,22 @@ class EngineLoop:
         )
         self._controller = GateController(
             reader=self._reader,
-            line=line,
+            line=self._line,
             clock=self._clock,
             limits=self._limits,
             records=records,
             watchdog=self._watchdog,
         )
-        handler = CommandHandler(
-            measurer=measurer,
-            learner=learner,
-            line=line,
-            limits=self._limits,
-            controller=self._controller,
-            follower=follower,
-            presence=self._presence,
-            supervisor=supervisor,
-            arming=arming,
-        )
-        self._turns = TurnRunner(
+        self._session = EngineSession(
             reader=self._reader,
             measurer=measurer,
             learner=learner,
+            line=self._line,
             controller=self._controller,
-            handler=handler,
-            supervisor=supervisor,
+            supervisor=self._supervisor,
+            presence=self._presence,
             limits=self._limits,
-            position=arming.position,
-            follower=follower,
+            arming=self._arming,
             outputs=self._outputs,
             publish=self._publish,
             hold=beam.hold,
@@ -294,7 +275,7 @@ class EngineLoop:
             self._tap.begin()
             self._open()
             while not (turn := self._reader.turn()).is_stop_requested:
-                self._turns.run(turn.commands, self._opened_ns)
+                self._session.run(turn.commands, self._opened_ns)
                 self._publish()
                 self._tap.turn()
                 self.on_turn()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
-from engine.control.position_sign_off import PositionState
+from engine.control.fraction_checks import PositionState
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason

@@ -1,6 +1,6 @@
 """The one place through which the engine thread reads everything outside itself, so that a session can be replayed.
 
-The engine thread only computes; what it reads are a few values (:mod:`engine.control.turn_reader`), the clock, and the
+The engine thread only computes; what it reads are a few values (:mod:`engine.control.turn_inputs`), the clock, and the
 results of training. Each reading passes :meth:`InputTap.observe`. One tap records the readings on a tape, one replays
 them from a tape (ADR 0013, ADR 0016), and the default one does neither.
 """

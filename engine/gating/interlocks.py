@@ -1,6 +1,6 @@
 """The interlocks of one decision: everything outside the frame itself that stands against the beam.
 
-What they are decided on is one frozen value, read by :class:`engine.control.turn_reader.TurnReader`. Nothing here can
+What they are decided on is one frozen value, read by :class:`engine.control.turn_inputs.TurnReader`. Nothing here can
 permit a beam: every finding holds or faults.
 """
 

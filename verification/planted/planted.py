@@ -37,7 +37,7 @@ class Planted:
 
 
 _CROSS, _CROSS_TEST = "engine/motion/cross_check/cross_check.py", "tests/engine/motion/cross_check/test_cross_check.py"
-_BUDGET, _WINDOWS = "engine/control/reference_budget.py", "tests/engine/control/test_window_budget.py"
+_BUDGET, _WINDOWS = "engine/control/fraction_checks.py", "tests/engine/control/test_window_budget.py"
 _BREATH, _STAY = "engine/gating/windows/patient_breath.py", "tests/engine/control/test_stay_through_commands.py"
 _NOISE, _NOISE_TEST = (
     "engine/motion/cross_check/present_noise.py",

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 from engine.capture.source import SourceDescription
-from engine.control.command_queue import Command
-from engine.control.turn_reader import CommandInputs, FrameInput, LineAnswer, TurnInputs
+from engine.control.turn_inputs import Command, CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core import errors
 from engine.core.breath import BreathEventKind, GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError, ModelError, RecordingError

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from engine.control.outputs import GateTransition
-from engine.control.turn_reader import FrameInput
+from engine.control.turn_inputs import FrameInput
 from engine.core.errors import ModelError
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind, InputTap

@@ -5,8 +5,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
-from engine.control.command_queue import Command, QueuedCommand
-from engine.control.turn_reader import CommandInputs, FrameInput, LineAnswer, TurnInputs
+from engine.control.turn_inputs import Command, CommandInputs, FrameInput, LineAnswer, QueuedCommand, TurnInputs
 from engine.core.errors import RecordingError
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind

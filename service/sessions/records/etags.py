@@ -94,7 +94,7 @@ class SessionRevisions:
         A call without ``If-Match`` takes its turn too: what a conditional call has compared stands until it is done.
         Calls that take permission away are not checked. Where one comes
         between look and act, the engine refuses what it takes back: an arm that was asked for before a disarming, a
-        release before a hold (`engine.control.command_queue`). An arm beside a hold is done, and the beam stays held.
+        release before a hold (`engine.control.turn_inputs`). An arm beside a hold is done, and the beam stays held.
         """
         if not self._turn.acquire(timeout=LONGEST_WAIT_S):
             msg = f"another call that changes a session took longer than {LONGEST_WAIT_S:g} s"

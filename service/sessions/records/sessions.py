@@ -3,7 +3,7 @@
 Sessions that continue an earlier one of their fraction, as after a crash.
 
 The earlier beam-on time is kept, to be shown. What is gated stays the same: another window, head direction, calibration
-or other regions would escape the budget of the fraction (:mod:`engine.control.reference_budget`).
+or other regions would escape the budget of the fraction (:mod:`engine.control.fraction_checks`).
 """
 
 import json

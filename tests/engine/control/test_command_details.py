@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from engine.control.outputs import FrameRecord, GateTransition
-from engine.control.session_limits import SessionLimits
+from engine.control.session_state import SessionLimits
 from engine.core.commands import ActivateModel, ApplyModel, CorrectBaseline, HoldBeam, SetReference
 from engine.core.errors import FrameTimeoutError
 from engine.core.gate_state import GateState, HoldReason

@@ -4,7 +4,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from engine.control.command_queue import MAX_WAIT_NS, MOST_PERSONS, CommandQueue
+from engine.control.turn_inputs import MAX_WAIT_NS, MOST_PERSONS, CommandQueue
 from engine.core.clock import NS_PER_MS, NS_PER_S, ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from engine.control.arming import DutyForecast
-from engine.control.session_limits import SessionLimits
+from engine.control.session_state import SessionLimits
 from engine.core.breath import WHOLE
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, CorrectBaseline

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.control.live_views import FRAMES_PER_SUMMARY, LatencyStatistics
+from engine.control.records import FRAMES_PER_SUMMARY, LatencyStatistics
 from engine.core.clock import NS_PER_MS, NS_PER_S
 
 

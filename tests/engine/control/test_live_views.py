@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from engine.beam.beam_on import BeamOnState
-from engine.control.live_views import BACK_DETAIL
+from engine.control.records import BACK_DETAIL
 from engine.core.commands import Acknowledge, Disarm, SetReference
 from engine.core.errors import SourceAwayError
 from engine.core.frames import LostReason, MeasurementState

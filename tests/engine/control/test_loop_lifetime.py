@@ -7,7 +7,7 @@ import pytest
 from engine.beam.simulated import SimulatedBeamLine
 from engine.control.loop import EngineLoop
 from engine.control.outputs import LoopStatus
-from engine.control.turns import FIRST_FRAME_NS
+from engine.control.session import FIRST_FRAME_NS
 from engine.core.clock import NS_PER_S, ManualClock
 from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam
 from engine.core.errors import (

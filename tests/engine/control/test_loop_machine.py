@@ -23,7 +23,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from engine.control.command_queue import Command
+from engine.control.turn_inputs import Command
 from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import BeamLineError, TidegateError
 from engine.core.frames import LostReason, Measurement, MeasurementState
@@ -353,7 +353,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     def _run(self, happened) -> None:
         was_on = self.oracle.is_on
-        self.loop._turns.run(self.loop._reader.turn().commands, self.loop._opened_ns)
+        self.loop._session.run(self.loop._reader.turn().commands, self.loop._opened_ns)
         happened()
         self._stand()
         self.times_on += self.oracle.is_on and not was_on
@@ -364,7 +364,7 @@ class LoopMachine(RuleBasedStateMachine):
         before, line_before = self.loop.gate, self.line.is_really_on()
         answer: Future[None] = self.loop.submit(command)
         for letter in self.loop._commands.take():
-            self.loop._turns._answer(letter)
+            self.loop._session._answer(letter)
         error = answer.exception(timeout=0)
         assert error is None or isinstance(error, TidegateError)
         if is_refused:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from engine.control.command_handler import ModelFollower
+from engine.control.session_state import ModelFollower
 
 
 class Learned:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.control.command_queue import CommandQueue
+from engine.control.turn_inputs import CommandQueue
 from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.control.position_sign_off import PositionSignOff
-from engine.control.session_limits import SessionLimits
+from engine.control.fraction_checks import PositionSignOff
+from engine.control.session_state import SessionLimits
 from engine.core.clock import NS_PER_S, ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam, SetReference, SignPosition
 from engine.core.errors import CommandRefusedError, PositionUncheckedError

@@ -11,7 +11,7 @@ from typing import get_args
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from engine.control.command_queue import Command
+from engine.control.turn_inputs import Command
 from engine.core import commands
 from engine.core.breath import WHOLE
 from engine.core.frames import Lost, LostReason, MeasurementState

@@ -9,10 +9,9 @@ import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.control.beam_driver import LineOrders
-from engine.control.command_queue import CommandQueue
 from engine.control.output_queues import OutputQueues
-from engine.control.session_limits import SessionLimits
-from engine.control.turn_reader import CommandInputs, TurnReader
+from engine.control.session_state import SessionLimits
+from engine.control.turn_inputs import CommandInputs, CommandQueue, TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam

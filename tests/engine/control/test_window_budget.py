@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from engine.control.reference_budget import NO_REASON, NOT_ALLOWED, placed_window
+from engine.control.fraction_checks import BUDGET_NO_REASON, BUDGET_NOT_ALLOWED, placed_window
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.commands import Arm, CorrectBaseline, Disarm, SetReference
 from engine.core.errors import ReferenceDistanceError
@@ -69,7 +69,7 @@ def test_ten_millimetres_beyond_the_first_armed_window_need_a_person_s_reason(wh
     assert errors[-1].field == "window"
     assert "10.00 mm beyond the fraction's first" in errors[-1].value
     assert errors[-1].bound == "within 2 mm of it"
-    assert errors[-1].advice == (NO_REASON if who.get("may_exceed") else NOT_ALLOWED)
+    assert errors[-1].advice == (BUDGET_NO_REASON if who.get("may_exceed") else BUDGET_NOT_ALLOWED)
     assert bench.loop.status.view.window == WINDOW
 
 

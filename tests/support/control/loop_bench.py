@@ -11,9 +11,9 @@ import numpy as np
 from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.source import SourceDescription
 from engine.control.beam_driver import BeamDriver, LineOrders
-from engine.control.command_queue import Command
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
+from engine.control.turn_inputs import Command
 from engine.control.watchdog import Watchdog
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock

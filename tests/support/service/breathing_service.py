@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from engine.capture.source import SourceDescription
-from engine.control.command_queue import Command
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView
+from engine.control.turn_inputs import Command
 from engine.core.commands import Acknowledge, Disarm
 from engine.core.frames import MeasurementState, TrainingProgress
 from engine.core.gate_state import GateState, HoldReason

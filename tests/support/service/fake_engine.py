@@ -12,9 +12,9 @@ from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
 from engine.control.arming import CountersignatureState
-from engine.control.command_queue import Command
-from engine.control.live_views import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
+from engine.control.records import EngineStatus
+from engine.control.turn_inputs import Command
 from engine.core.breath import Breath
 from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError, TidegateError

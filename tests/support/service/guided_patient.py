@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from engine.control.live_views import EngineStatus
+from engine.control.records import EngineStatus
 from engine.core.breath import WHOLE
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningStatus

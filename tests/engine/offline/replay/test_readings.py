@@ -6,8 +6,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from engine.control.command_queue import QueuedCommand
-from engine.control.turn_reader import CommandInputs, FrameInput, LineAnswer, TurnInputs
+from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, QueuedCommand, TurnInputs
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm
 from engine.core.errors import BeamLineMismatchError

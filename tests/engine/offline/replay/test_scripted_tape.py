@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from engine.control.turn_reader import CommandInputs
+from engine.control.turn_inputs import CommandInputs
 from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain, SetReference
 from engine.core.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.core.gate_state import HoldReason
@@ -180,7 +180,7 @@ def test_a_camera_that_never_showed_anything_is_lost_again(tmp_path):
 def test_an_engine_that_asks_for_something_else_is_found(busy, monkeypatch):
     _one, path = busy
     unread = lambda _self, _queued: CommandInputs()  # noqa: E731
-    monkeypatch.setattr("engine.control.turn_reader.TurnReader.command", unread)
+    monkeypatch.setattr("engine.control.turn_inputs.TurnReader.command", unread)
     difference = replayed(path).difference
     assert (difference.recorded, difference.replayed) == ("COMMAND observed", "CLOCK observed")
 

@@ -7,9 +7,9 @@ import socket
 import numpy as np
 import pytest
 
-from engine.control.command_queue import CommandQueue
-from engine.control.live_views import EngineStatus
 from engine.control.outputs import LoopStatus
+from engine.control.records import EngineStatus
+from engine.control.turn_inputs import CommandQueue
 from engine.core.clock import ManualClock
 from engine.core.commands import SetReference
 from engine.core.gate_state import HoldReason

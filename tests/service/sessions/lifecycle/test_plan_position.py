@@ -6,7 +6,7 @@ from datetime import timedelta
 import numpy as np
 import pytest
 
-from engine.control.position_sign_off import PositionState, Signature
+from engine.control.fraction_checks import PositionState, Signature
 from engine.core.commands import SignPosition
 from engine.core.errors import PositionUncheckedError
 from engine.core.learning_status import LearningEvent, LearningEventKind

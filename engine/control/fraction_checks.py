@@ -1,22 +1,28 @@
-"""The budget that references, baseline corrections and windows of a fraction share, measured from its first ones.
+"""What a fraction binds the next arming to: the budget of its references, and the patient's signed position.
 
-Beyond it a person who may arm has to give a reason. What was moved in many small steps counts in full, because no step
-is measured from the one before. A window counts from the first one that was armed in the fraction, in whichever
-session, by how far it reaches beyond that one. A person's reason makes the next window that is armed the first one.
+References, baseline corrections and windows share the budget, measured from the fraction's first ones. Beyond it a
+person who may arm has to give a reason. What was moved in many small steps counts in full: no step is measured from
+the one before. A window counts from the first one that was armed in the fraction, in whichever session, by how far it
+reaches beyond that one. A person's reason makes the next window that is armed the first one.
 
 A second person's signature belongs to the window that was armed with it: it lasts, over the sessions of the fraction,
 while no window is set beyond that one and the reference is known to be within the budget (ADR 0055).
+
+The position is signed before the first arming of a session of a later fraction (ADR 0031): a person signs how the
+reference in use compares with the plan's position. The signature belongs to that reference, and ends when the patient
+or the camera may have moved: then arming is refused, and an armed gate holds.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from engine.control.roles import Learner
-from engine.control.session_limits import SessionLimits
+from engine.control.session_state import Learner, SessionLimits
 from engine.core.breath import SignalChoice
-from engine.core.commands import Arm, CorrectBaseline, SetReference
-from engine.core.errors import ReferenceDistanceError
+from engine.core.clock import NS_PER_S
+from engine.core.commands import Arm, CorrectBaseline, SetReference, SignPosition
+from engine.core.errors import PositionUncheckedError, ReferenceDistanceError
 from engine.core.fraction_arming import (
     MAX_ROUNDING,
     PHASE,
@@ -26,12 +32,34 @@ from engine.core.fraction_arming import (
     is_set_beyond,
     reach_beyond,
 )
+from engine.core.frames import LostReason, Measurement, MeasurementState
+from engine.core.gate_state import HoldReason
+from engine.core.learning_status import LearningStatus
+from engine.core.position_check import PositionCheck, PositionTolerance
 from engine.core.reference import ReferenceDistance, SignalLevel
+from engine.core.sentences import listed, say
 from engine.gating.active_window import SetWindow, window_text
+from engine.gating.gate import Interruption
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, GateWindow, JoinedWindow, PhaseWindow, Unit
 
-NO_REASON = "beyond it a person who may arm has to give a reason"
-NOT_ALLOWED = "beyond it only a person who may arm can go, with a reason"
+BUDGET_NO_REASON = "beyond it a person who may arm has to give a reason"
+
+BUDGET_NOT_ALLOWED = "beyond it only a person who may arm can go, with a reason"
+
+LONGEST_UNSEEN_S = 60.0
+"""A patient who was not measured for longer may have been moved."""
+
+CAMERA_MOVED = say("the camera moved")
+
+UNSEEN = say("the patient was not measured for more than {longest_unseen_s:g} s", longest_unseen_s=LONGEST_UNSEEN_S)
+
+NOT_SIGNED = say("the patient's position was not compared with the plan's and signed")
+
+SET_AGAIN = say("set the reference again, compare the position with the plan's, and sign it")
+
+NOT_ALLOWED = say("beyond the tolerance only a person who may arm can sign, with a reason")
+
+NO_REASON = say("a person who may arm has to give a reason, such as by which other means it was checked")
 
 
 def placed_window(
@@ -201,7 +229,7 @@ class ReferenceBudget:
     def _refuse_beyond(self, field: str, distance: ReferenceDistance, command: SetReference | CorrectBaseline) -> None:
         budget_mm = self._limits.current.max_reference_distance_mm
         if not distance.is_within(budget_mm):
-            advice = NO_REASON if command.may_exceed else NOT_ALLOWED
+            advice = BUDGET_NO_REASON if command.may_exceed else BUDGET_NOT_ALLOWED
             raise ReferenceDistanceError(field, distance.text, f"within {budget_mm:g} mm of it", advice)
 
     def _refuse_reach(self, field: str, window: GateWindow, command: SetWindow | CorrectBaseline | Arm) -> None:
@@ -211,7 +239,7 @@ class ReferenceBudget:
         may_exceed = command.is_person if isinstance(command, Arm) else command.may_exceed
         how_far = f"{reach_mm:.2f} mm" if math.isfinite(reach_mm) else "phases or conditions"
         value = f"{window_text(window)}, {how_far} beyond the fraction's first"
-        advice = NO_REASON if may_exceed else NOT_ALLOWED
+        advice = BUDGET_NO_REASON if may_exceed else BUDGET_NOT_ALLOWED
         raise ReferenceDistanceError(field, value, f"within {budget_mm:g} mm of it", advice)
 
     def _reach_mm(self, window: GateWindow) -> float:
@@ -225,3 +253,166 @@ class ReferenceBudget:
     @staticmethod
     def _may_exceed(command: SetReference | CorrectBaseline | SetWindow) -> bool:
         return command.may_exceed and bool(command.reason.strip())
+
+
+class Signature(NamedTuple):
+    """Who signed which reference's position, and why where it was beyond the tolerance."""
+
+    operator: str
+    reference_number: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionState:
+    """The comparison of the reference in use with the plan's position, and its signature.
+
+    Attributes
+    ----------
+    is_required
+        Whether the gate may be armed with a signature only: another fraction of the plan has a position.
+    reference_number
+        Number of the reference in use; None while none is set.
+    check
+        Its comparison; None without one.
+    signature
+        The person who signed; None before the signature and after a lapse.
+    lapse
+        Why a signature of this reference is not valid any more; empty where it is.
+    """
+
+    is_required: bool = False
+    reference_number: int | None = None
+    check: PositionCheck | None = None
+    tolerance: PositionTolerance
+    signature: Signature | None = None
+    lapse: str = ""
+
+    @property
+    def shortcomings(self) -> tuple[str, ...]:
+        """What keeps the position from being within the tolerance; empty where nothing does, or it is not compared."""
+        return () if self.check is None else self.tolerance.shortcomings(self.check)
+
+
+class PositionSignOff:
+    """Keeps the signature; owned by the engine thread."""
+
+    def __init__(self, learner: Learner, limits: SessionLimits) -> None:
+        self._learner, self._limits = learner, limits
+        self._signature: Signature | None = None
+        self._lapsed_number: int | None = None
+        self._lapse = ""
+        self._seen_ns: int | None = None
+
+    @property
+    def tolerance(self) -> PositionTolerance:
+        """The site's tolerance."""
+        limits = self._limits.current
+        return PositionTolerance(
+            shift_mm=limits.max_position_shift_mm,
+            turn_deg=limits.max_position_turn_deg,
+            shape_mm=limits.max_position_shape_mm,
+        )
+
+    def present(self) -> PositionState:
+        """Return the comparison of the reference in use, and its signature."""
+        learning = self._learner.status
+        return PositionState(
+            is_required=learning.is_position_required,
+            reference_number=learning.reference_number if learning.has_reference else None,
+            check=learning.position_check,
+            tolerance=self.tolerance,
+            signature=self._valid(learning),
+            lapse=self._lapse if self._lapsed_number == learning.reference_number else "",
+        )
+
+    def sign(self, command: SignPosition) -> None:
+        """Sign the position of the reference in use.
+
+        Raises
+        ------
+        PositionUncheckedError
+            There is nothing to sign; another reference is in use by now; the patient may have moved since; or the
+            position is beyond the tolerance, without a reason of a person who may arm.
+        """
+        learning = self._learner.status
+        if not learning.is_position_required:
+            raise PositionUncheckedError(say("nothing is to be signed: no earlier fraction of the plan has a position"))
+        if not learning.has_reference:
+            raise PositionUncheckedError(say("there is no reference yet: set it, and look at its position"))
+        if command.reference_number != learning.reference_number:
+            raise PositionUncheckedError(
+                say(
+                    "reference {reference_number} is in use by now, not {seen_number}: look again",
+                    reference_number=learning.reference_number,
+                    seen_number=command.reference_number,
+                )
+            )
+        if self._lapsed_number == learning.reference_number:
+            raise PositionUncheckedError(say("{lapse}: {set_again}", lapse=self._lapse, set_again=SET_AGAIN))
+        self._refuse_beyond(command)
+        self._signature = Signature(
+            operator=command.operator, reference_number=command.reference_number, reason=command.reason.strip()
+        )
+
+    def follow(self, measurement: Measurement, holds: Iterable[Interruption]) -> None:
+        """End the signature where a frame, or a hold of its supervision, shows that the patient or camera has moved."""
+        moved = next((one for one in holds if one.reason is HoldReason.PATIENT_SHIFTED), None)
+        if moved is not None:
+            self._end(say("the patient {detail}", detail=moved.detail))
+        if measurement.lost is not None and measurement.lost.reason is LostReason.CAMERA_MOVED:
+            self._end(CAMERA_MOVED)
+        if measurement.state is MeasurementState.MEASURING or self._seen_ns is None:
+            self._seen_ns = measurement.received_ns
+        elif measurement.received_ns - self._seen_ns > LONGEST_UNSEEN_S * NS_PER_S:
+            self._end(UNSEEN)
+
+    def interruption(self) -> Interruption | None:
+        """Return the hold of a position that has to be signed and is not."""
+        learning = self._learner.status
+        if not learning.is_position_required or not learning.has_reference or self._valid(learning) is not None:
+            return None
+        return Interruption(HoldReason.POSITION_UNCHECKED, self._text(learning))
+
+    def refuse_unsigned(self) -> None:
+        """Raise PositionUncheckedError where the position has to be signed and is not."""
+        found = self.interruption()
+        if found is not None:
+            raise PositionUncheckedError(
+                say("{found}: {advice}", found=found.detail, advice=SET_AGAIN if self._lapse else say("sign it first"))
+            )
+
+    def _end(self, why: str) -> None:
+        """End the signature of the reference in use, and refuse another one."""
+        learning = self._learner.status
+        if learning.is_position_required and self._lapsed_number != learning.reference_number:
+            self._lapsed_number, self._lapse = learning.reference_number, why
+
+    def _valid(self, learning: LearningStatus) -> Signature | None:
+        """Return the signature of the reference in use, if it is still valid."""
+        signature, number = self._signature, learning.reference_number
+        is_valid = signature is not None and signature.reference_number == number and self._lapsed_number != number
+        return signature if is_valid and learning.has_reference else None
+
+    def _text(self, learning: LearningStatus) -> str:
+        if self._lapsed_number == learning.reference_number:
+            return say("the signature of the position ended: {lapse}", lapse=self._lapse)
+        return NOT_SIGNED
+
+    def _refuse_beyond(self, command: SignPosition) -> None:
+        check = self._learner.status.position_check
+        shortcomings = (say("it was not compared"),) if check is None else self.tolerance.shortcomings(check)
+        if not shortcomings or (command.may_exceed and command.reason.strip()):
+            return
+        limits = say(
+            "{shift_mm:g} mm and {turn_deg:g} deg", shift_mm=self.tolerance.shift_mm, turn_deg=self.tolerance.turn_deg
+        )
+        advice = NO_REASON if command.may_exceed else NOT_ALLOWED
+        raise PositionUncheckedError(
+            say(
+                "the position is not within {limits} of the plan's ({shortcomings}): {advice}",
+                limits=limits,
+                shortcomings=listed(", ", shortcomings),
+                advice=advice,
+            )
+        )

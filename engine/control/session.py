@@ -1,21 +1,21 @@
-"""Carries out operators' commands: check whether the command is allowed now, then the line, then the change itself.
+"""The session in the engine thread: one turn after another. Commands first, then a frame, then the decision.
 
-Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
-
-Follows the learner for the gate: a changed model disarms, and a window in per cent becomes one in mm.
+A command is carried out between two frames, and refused before anything is changed: first whether it is allowed now,
+then the line, then the change itself.
 """
 
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from engine.control.arming import Arming
 from engine.control.beam_driver import LineOrders
-from engine.control.command_queue import Command
 from engine.control.gate_controller import GateController
+from engine.control.output_queues import OutputQueues
 from engine.control.outputs import Cause
-from engine.control.roles import Learner, Measurer
-from engine.control.session_limits import SessionLimits
-from engine.control.turn_reader import CommandInputs
+from engine.control.session_state import Learner, Measurer, ModelFollower, SessionLimits
+from engine.control.turn_inputs import URGENT, Command, CommandInputs, QueuedCommand, TurnReader
 from engine.core.breath import SignalChoice
+from engine.core.clock import NS_PER_S
 from engine.core.commands import (
     Acknowledge,
     ActivateModel,
@@ -30,58 +30,29 @@ from engine.core.commands import (
     SetReference,
     SignPosition,
 )
-from engine.core.errors import CommandRefusedError, CountersignatureError, ReasonMissingError
+from engine.core.errors import (
+    CommandRefusedError,
+    CountersignatureError,
+    ReasonMissingError,
+    SourceLostError,
+    TidegateError,
+)
+from engine.core.frames import Measurement, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference import ReferenceMoment
 from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
-from engine.gating.gate import Ending
+from engine.gating.gate import Ending, GateEvent, Interruption, Silence
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import AmplitudeWindow
 
+FIRST_FRAME_NS = 10 * NS_PER_S
+"""Longest time from the opening of a camera to its first frame; then it is lost."""
 LEVEL_TOLERANCE_MM = MOVE_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
 NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
-
-
-class ModelFollower:
-    """Remembers with which model the gate was armed, and for which reference the window was resolved."""
-
-    def __init__(self, learner: Learner, limits: SessionLimits) -> None:
-        self._learner, self._limits = learner, limits
-        self._generation = learner.status.model_generation
-        self._resolved_for: int | None = None
-        self._is_depth_known = False
-
-    def has_changed(self) -> bool:
-        """Whether the model or the reference has changed since the last call."""
-        before, self._generation = self._generation, self._learner.status.model_generation
-        if before == self._generation and self._is_depth_known:
-            return False
-        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
-        self._limits.use_breaths(ranges)
-        self._is_depth_known = bool(ranges)
-        return before != self._generation
-
-    def resolve_window(self) -> None:
-        """Resolve a window in per cent into mm, once for each reference that is set.
-
-        Another model with the same reference has another learned range, of where the patient lies now: a window that
-        took it over would follow a drift that no person has confirmed.
-        """
-        reference = self._learner.status.reference_number
-        if self._resolved_for == reference or not self._limits.prescribed_window.needs_ranges:
-            return
-        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
-        self._limits.resolve_window(ranges)
-        if ranges:
-            self._resolved_for = reference
-
-    def resolve_again(self) -> None:
-        """Resolve another window with the next frame: by then a range may be known."""
-        self._resolved_for = None
 
 
 class _Level(NamedTuple):
@@ -91,28 +62,127 @@ class _Level(NamedTuple):
     percent: float | None
 
 
-class CommandHandler:
-    """Handles commands."""
+class EngineSession:
+    """Runs the turns of a session; owned by the engine thread.
+
+    Parameters
+    ----------
+    publish
+        Publishes the engine's status: done before a command is answered.
+    hold
+        Holds the line at once: done where a command ends the engine.
+    """
 
     def __init__(
         self,
         *,
+        reader: TurnReader,
         measurer: Measurer,
         learner: Learner,
         line: LineOrders,
-        limits: SessionLimits,
         controller: GateController,
-        follower: ModelFollower,
-        presence: OperatorPresence,
         supervisor: FrameSupervisor,
+        presence: OperatorPresence,
+        limits: SessionLimits,
         arming: Arming,
+        outputs: OutputQueues,
+        publish: Callable[[], None],
+        hold: Callable[[HoldReason], None],
     ) -> None:
-        self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
-        self._arming = arming
-        self._controller, self._presence, self._supervisor = controller, presence, supervisor
-        self._follower = follower
+        self._reader, self._measurer, self._learner, self._line = reader, measurer, learner, line
+        self._controller, self._supervisor, self._presence = controller, supervisor, presence
+        self._limits, self._arming, self._outputs = limits, arming, outputs
+        self._publish, self._hold = publish, hold
+        self._follower = ModelFollower(learner, limits)
+        self._is_camera_away = False
 
-    def handle(self, command: Command, inputs: CommandInputs) -> None:
+    def run(self, commands: Iterable[QueuedCommand], opened_ns: int) -> None:
+        """Run a turn; ``opened_ns`` is when the source was opened."""
+        for queued in commands:
+            self._answer(queued)
+        last = self._controller.gate.last
+        read = self._reader.frame(last_received_ns=None if last is None else last.received_ns)
+        if read.frame is not None:
+            self._measure(read.frame)
+        elif read.away is not None:
+            self._decide_without_camera(read.away)
+        else:
+            self._decide_without_frame(read.at_ns, opened_ns)
+
+    def _answer(self, queued: QueuedCommand) -> None:
+        """Carry a command out; answer it once the line has been driven and the new status is published."""
+        inputs = self._reader.command(queued)
+        if not inputs.is_wanted and not isinstance(queued.command, URGENT):
+            return
+        try:
+            try:
+                self._carry_out(queued.command, inputs)
+            finally:
+                self._publish()
+        except TidegateError as error:
+            queued.answer.set_exception(error)
+        except BaseException as error:
+            self._hold(HoldReason.ENGINE_FAILED)
+            queued.answer.set_exception(error)
+            raise
+        else:
+            if inputs.is_wanted:
+                queued.answer.set_result(None)
+
+    def _measure(self, frame: RgbdFrame) -> None:
+        """Measure a frame, and decide on it."""
+        if self._is_camera_away:
+            self._is_camera_away = False
+            self._measurer.camera_returned()
+        self._learner.keep_model(is_kept=self._controller.gate.is_armed)
+        measurement = self._measurer.measure(frame)
+        notices = self._learner.take_notices()
+        self._outputs.put_notices(notices)
+        gated = measurement.as_gated
+        supervision = self._supervisor.check(
+            frame,
+            gated,
+            window=self._limits.current.window,
+            model=self._learner.status.model,
+            has_reference=self._learner.status.has_reference,
+            notices=notices,
+        )
+        self._arming.position.follow(gated, supervision)
+        if self._supervisor.take_warmed():
+            self._measurer.camera_warmed()
+        unsigned = self._arming.position.interruption()
+        self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
+
+    def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:
+        events: list[GateEvent] = []
+        if self._follower.has_changed():
+            self._controller.rescale()
+            events.append(Ending(reason=HoldReason.DISARMED))
+        self._follower.resolve_window()
+        if not _is_of(measurement, frame):
+            events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail=say("a measurement of another frame")))
+        events.append(measurement.as_gated)
+        if self._learner.status.model is None:
+            events.append(Interruption(reason=HoldReason.MODEL_MISSING))
+        elif not self._learner.status.has_reference:
+            events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
+        self._controller.decide(*events, cause=Cause(frame=frame, measurement=measurement), supervision=supervision)
+
+    def _decide_without_camera(self, detail: str) -> None:
+        """Fault for as long as the camera is away; an acknowledgement meanwhile does not clear it."""
+        self._is_camera_away = True
+        self._controller.decide(supervision=(Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),))
+
+    def _decide_without_frame(self, timed_out_ns: int, opened_ns: int) -> None:
+        self._controller.decide(Silence(since_ns=opened_ns))
+        if self._controller.gate.last is None and timed_out_ns - opened_ns > FIRST_FRAME_NS:
+            msg = say(
+                "the source was opened, and showed nothing for {waited_s} s",
+                waited_s=FIRST_FRAME_NS // NS_PER_S,
+            )
+            raise SourceLostError(msg)
+
+    def _carry_out(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
         match command:
             case Arm():
@@ -155,7 +225,10 @@ class CommandHandler:
             case Retrain():
                 self._learner.retrain(keeps_reference=command.keeps_zero)
             case ApplyModel():
-                self._apply_model(command)
+                if not self._learner.status.is_model_waiting:
+                    raise CommandRefusedError(say("no new model waits to be applied"))
+                self._disarm_for(say("a new model is applied"), command.operator)
+                self._learner.apply_model()
             case ActivateModel():
                 self._disarm_for(say("another model is activated"), command.operator)
                 self._learner.activate(command.model)
@@ -218,7 +291,7 @@ class CommandHandler:
             )
         )
 
-    def _level(self, moment: ReferenceMoment, choice: SignalChoice) -> "_Level":
+    def _level(self, moment: ReferenceMoment, choice: SignalChoice) -> _Level:
         """Return the level of a moment, and its place in the learned breathing range."""
         if moment is not ReferenceMoment.NOW:
             proposals = self._learner.status.reference_proposals
@@ -228,12 +301,6 @@ class CommandHandler:
             return _Level(one.level, one.percent)
         level, learned = self._controller.newest_level(choice), self._learner.learned_ranges((choice,)).get(choice)
         return _Level(level, None if level is None or learned is None else learned.percent(level))
-
-    def _apply_model(self, command: ApplyModel) -> None:
-        if not self._learner.status.is_model_waiting:
-            raise CommandRefusedError(say("no new model waits to be applied"))
-        self._disarm_for(say("a new model is applied"), command.operator)
-        self._learner.apply_model()
 
     def _disarm_for(self, detail: str, operator: str) -> None:
         self._controller.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
@@ -260,18 +327,15 @@ class CommandHandler:
 
     def _sign(self, command: Countersign | SignPosition) -> None:
         """Sign window and reference as a second person, or the patient's position."""
-        if isinstance(command, Countersign):
-            self._countersign(command)
-        else:
+        if isinstance(command, SignPosition):
             self._arming.position.sign(command)
-        self._controller.decide(cause=Cause(operator=command.operator))
-
-    def _countersign(self, command: Countersign) -> None:
-        if not self._learner.status.has_reference or self._limits.is_window_unresolved:
+        elif not self._learner.status.has_reference or self._limits.is_window_unresolved:
             raise CountersignatureError(
                 say("there is no reference yet, or the window is still in per cent: set it first")
             )
-        self._arming.countersignature.sign(command, self._arming.state)
+        else:
+            self._arming.countersignature.sign(command, self._arming.state)
+        self._controller.decide(cause=Cause(operator=command.operator))
 
     def _release(self, command: ReleaseBeam) -> None:
         if command.is_person:
@@ -286,3 +350,12 @@ class CommandHandler:
                 say("the fault persists ({queue_trouble}): nothing can be recorded", queue_trouble=inputs.queue_trouble)
             )
         self._controller.acknowledge(command)
+
+
+def _is_of(measurement: Measurement, frame: RgbdFrame) -> bool:
+    return (measurement.frame_index, measurement.timestamp_us, measurement.received_ns, measurement.missed_frames) == (
+        frame.index,
+        frame.timestamp_us,
+        frame.received_ns,
+        frame.missed_frames,
+    )

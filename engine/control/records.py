@@ -1,9 +1,12 @@
-"""The newest view of a running engine: written by the engine thread, read by any other.
+"""The records of each decision: journal, transitions and samples, and the newest view and status for other threads.
 
-A view is a frozen value that is replaced whole. A view that a hung engine left behind is shown as a fault.
-The engine's status is another such value: what is known between two frames.
+Made after the line was driven; only the journal's entry of a permit is prepared before it. Nothing here waits, and
+nothing here can change a decision. A view is a frozen value that is written by the engine thread and replaced whole;
+one that a hung engine left behind is shown as a fault. The engine's status is another such value: what is known
+between two frames.
 """
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,36 +15,37 @@ import numpy as np
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
-from engine.control.arming import CountersignatureState
+from engine.control.arming import Arming, CountersignatureState
+from engine.control.beam_driver import LineReport
 from engine.control.output_queues import OutputQueues
-from engine.control.outputs import Decision, FrameRecord, LatencySummary, LiveView, LoopStatus
-from engine.control.position_sign_off import PositionState
-from engine.control.session_limits import SessionLimits
+from engine.control.outputs import Decision, FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
+from engine.control.session_state import SessionLimits
 from engine.control.watchdog import Watchdog
-from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.clock import NS_PER_MS, NS_PER_S, Clock
 from engine.core.fraction_arming import FractionArming
-from engine.core.frames import ColorImage, RgbdFrame
+from engine.core.frames import ColorImage, Measurement, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import CameraView
-from engine.core.reference import ReferenceDistance
 from engine.core.replacing import replace
 from engine.core.sentences import listed, say
 from engine.core.signals import Ranges
 from engine.gating.delivery import is_age_known
+from engine.gating.gate import Gate
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.limits import GateLimits
-from engine.gating.supervision.checks import CheckState
-from engine.gating.supervision.patient_shift import Movement
+from engine.gating.supervision.supervisor import FrameSupervisor
 
 LATENCY_SAMPLES = 512
+
 FRAMES_PER_SUMMARY = 8
 """Percentiles are computed once in this many frames: sorting at every frame would add latency."""
+
 BACK_DETAIL = say("it is back: acknowledge, set the reference, arm")
 """Added to the detail of a lost camera that delivers frames again."""
 
 
-# Statistics of one engine's frames: count, rate and latency.
 class LatencyStatistics:
     """Running statistics; owned by the engine thread."""
 
@@ -91,19 +95,9 @@ def no_signal() -> BeamOnState | None:
     return None
 
 
-def no_position() -> PositionState | None:
-    """Return None: the patient's position is not compared."""
-    return None
-
-
 def no_camera_view(_frame: RgbdFrame) -> CameraView | None:
     """Return None: how the camera looks is not measured."""
     return None
-
-
-def no_checks() -> tuple[CheckState, ...]:
-    """Return nothing: no check of the measurement is followed."""
-    return ()
 
 
 def _is_clock_checked(decision: Decision, limits: GateLimits) -> bool:
@@ -128,17 +122,13 @@ class LiveViews:
         outputs: OutputQueues,
         watchdog: Watchdog,
         beam_on: Callable[[], BeamOnState | None] = no_signal,
-        reference_distance: Callable[[], ReferenceDistance | None],
-        movement: Callable[[], Movement | None],
-        checks: Callable[[], tuple[CheckState, ...]] = no_checks,
-        marker_travel_mm: Callable[[], float | None] = lambda: None,
-        position: Callable[[], PositionState | None] = no_position,
+        arming: Arming,
+        supervisor: FrameSupervisor,
         camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
         self._camera_view = camera_view
         self._newest_camera_view: CameraView | None = None
-        self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
-        self._position, self._checks, self._marker_travel_mm = position, checks, marker_travel_mm
+        self._beam_on, self._arming, self._supervisor = beam_on, arming, supervisor
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -217,13 +207,13 @@ class LiveViews:
             armed_by=decision.gate.armed_by,
             breath_holds=decision.gate.breath_holds,
             beam_on=self._beam_on(),
-            reference_distance=self._reference_distance(),
+            reference_distance=self._arming.budget.present(),
             reference_budget_mm=limits.max_reference_distance_mm,
-            movement=self._movement(),
-            checks=self._checks(),
-            marker_travel_mm=self._marker_travel_mm(),
+            movement=self._supervisor.movement,
+            checks=self._supervisor.checks,
+            marker_travel_mm=self._supervisor.marker_travel_mm,
             is_clock_checked=_is_clock_checked(decision, limits),
-            position=self._position(),
+            position=self._arming.position.present(),
             camera_view=self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )
@@ -275,3 +265,121 @@ class EngineStatus:
     def is_over(self) -> bool:
         """Whether the engine decides nothing any more."""
         return self.run_state.is_over
+
+
+class DecisionRecords:
+    """Records decisions; transitions of the watchdog come from its own thread, all else from the engine's."""
+
+    def __init__(
+        self,
+        *,
+        clock: Clock,
+        limits: SessionLimits,
+        outputs: OutputQueues,
+        views: LiveViews,
+        tap: InputTap = NO_TAP,
+    ) -> None:
+        self._clock, self._limits, self._outputs = clock, limits, outputs
+        self._views, self._tap = views, tap
+        self._watchdog_recorded = threading.Lock()  # taken by the thread that records it first: watchdog or engine
+        self.newest_measurement: Measurement | None = None
+        """The measurement of the newest frame that was decided on; None before the first."""
+
+    def prepare(self, decision: Decision) -> int | None:
+        """Write a permit into the journal before the line is asked; return its number. A hold waits for nothing."""
+        if decision.gate.state is not GateState.BEAM_ON or decision.before.state is GateState.BEAM_ON:
+            return None
+        return self._outputs.prepare(self._transition(decision))
+
+    def record(self, decision: Decision, report: LineReport, prepared: int | None) -> None:
+        """Record a decision that the line has carried out: its transition first, then its sample, then the view."""
+        if decision.cause.detail or (decision.is_change and self._may_record(decision.gate)):
+            self.record_transition(decision, prepared)
+        elif prepared is not None:
+            self._outputs.abort(self._transition(decision), prepared)
+        frame, measurement = decision.cause.frame, decision.cause.measurement
+        if frame is not None and measurement is not None:
+            self.newest_measurement = measurement
+            sample = self._sample(decision, measurement, is_on=report.is_on)
+            self._outputs.put_sample(sample)
+            self._tap.emit(sample)
+            self._views.show_frame(decision, sample, frame)
+        else:
+            self._views.show_without_frame(decision, is_on=report.is_on)
+
+    def record_transition(self, decision: Decision, prepared: int | None) -> None:
+        """Record a change of the gate; ``prepared`` is the number under which the journal expects it."""
+        self._put(self._transition(decision), prepared)
+
+    def record_watchdog(self, before: Gate, at_ns: int) -> None:
+        """Record that the watchdog held the line; from its thread, for the engine may hang."""
+        if not self._watchdog_recorded.acquire(blocking=False):
+            return
+        self._put(
+            GateTransition(
+                at_ns=at_ns,
+                frame_index=None,
+                from_state=before.state,
+                to_state=GateState.FAULT,
+                reason=HoldReason.WATCHDOG,
+                operator=None,
+                detail=WATCHDOG_DETAIL,
+                captured_us=None,
+                received_ns=None,
+                decided_ns=at_ns,
+                asserted_ns=self._clock.now_ns(),
+                armed_by=before.armed_by,
+            ),
+            None,
+        )
+
+    def expect_watchdog_again(self) -> None:
+        """Record the watchdog's next fault too: the last one was acknowledged."""
+        if self._watchdog_recorded.locked():
+            self._watchdog_recorded.release()
+
+    def _may_record(self, gate: Gate) -> bool:
+        """Whether this change is still to be recorded: a fault of the watchdog is recorded by one thread only."""
+        return gate.reason is not HoldReason.WATCHDOG or self._tap.observe(
+            InputKind.WATCHDOG_RECORDED, lambda: self._watchdog_recorded.acquire(blocking=False)
+        )
+
+    def _put(self, transition: GateTransition, prepared: int | None) -> None:
+        self._outputs.put_transition(transition, prepared=prepared)
+        self._tap.emit(transition)
+
+    def _transition(self, decision: Decision) -> GateTransition:
+        gate, cause, frame = decision.gate, decision.cause, decision.cause.frame
+        return GateTransition(
+            at_ns=decision.decided_ns,
+            frame_index=None if frame is None else frame.index,
+            from_state=decision.before.state,
+            to_state=gate.state,
+            reason=gate.reason,
+            operator=cause.operator or _holder_of(decision),
+            detail=cause.detail or gate.detail,
+            captured_us=None if frame is None else frame.timestamp_us,
+            received_ns=None if frame is None else frame.received_ns,
+            decided_ns=decision.decided_ns,
+            asserted_ns=decision.asserted_ns,
+            captured_ns=decision.captured_ns,
+            armed_by=gate.armed_by or decision.before.armed_by,
+        )
+
+    def _sample(self, decision: Decision, measurement: Measurement, *, is_on: bool) -> FrameRecord:
+        return FrameRecord(
+            measurement=measurement,
+            gate_state=decision.gate.state,
+            hold_reason=decision.gate.reason,
+            signal_mm=self._limits.signal_mm(measurement),
+            received_ns=measurement.received_ns,
+            decided_ns=decision.decided_ns,
+            asserted_ns=decision.asserted_ns,
+            line_on=is_on,
+            captured_ns=decision.captured_ns,
+        )
+
+
+def _holder_of(decision: Decision) -> str | None:
+    """Name the operator of a hold by hand that took effect at a frame's decision."""
+    return decision.holder if decision.gate.reason is HoldReason.OPERATOR_HOLD else None
