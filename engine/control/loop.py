@@ -42,8 +42,8 @@ from engine.core.position_check import CameraView
 from engine.core.replacing import replace
 from engine.core.sentences import say
 from engine.gating.gate import Ending, Gate, Interruption
+from engine.gating.interlocks import OperatorPresence
 from engine.gating.limits import GateLimits, ns_from_ms
-from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 
 

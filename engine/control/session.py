@@ -43,7 +43,7 @@ from engine.core.reference import ReferenceMoment
 from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
 from engine.gating.gate import Ending, GateEvent, Interruption, Silence
-from engine.gating.supervision.operator_presence import OperatorPresence
+from engine.gating.interlocks import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.windows import AmplitudeWindow
 

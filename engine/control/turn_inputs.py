@@ -38,9 +38,8 @@ from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.core.sentences import say
 from engine.gating.active_window import SetWindow
 from engine.gating.gate import Gate, Interruption
-from engine.gating.interlocks import DecisionInputs
+from engine.gating.interlocks import DecisionInputs, OperatorPresence
 from engine.gating.limits import ns_from_ms
-from engine.gating.supervision.operator_presence import OperatorPresence
 
 Command = (
     Arm

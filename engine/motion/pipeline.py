@@ -1,7 +1,7 @@
 """The frame path through the stages: find markers, register, sample the region, learn or project, measure.
 
-Owned by one thread. It keeps the state between frames (tracked region, last coefficients), so that the stages are pure;
-model and reference belong to `engine.motion.learning.learner.Learner`.
+Owned by one thread. It keeps the state between frames (tracked region, last coefficients, breaths and lags), so that
+the stages are pure; model and reference belong to `engine.motion.learning.learner.Learner`.
 """
 
 from dataclasses import replace
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.breath import Breath, SignalChoice
-from engine.core.clock import Clock
+from engine.core.clock import US_PER_S, Clock
 from engine.core.frames import (
     FloatArray,
     Lost,
@@ -24,29 +24,91 @@ from engine.core.frames import (
 from engine.core.motion_model import MotionModel
 from engine.core.native_process import keep_calls_in_their_thread, keep_freed_memory
 from engine.motion.cross_check.cell_surface import BreathingShapes
-from engine.motion.followed_motion import FollowedMotion
-from engine.motion.job_stages import JobStages, refusal
+from engine.motion.job_stages import JobStages, refusal, surface_mm
 from engine.motion.learning.depth_steps import stored_steps
-from engine.motion.learning.learner import Learned, Learner
+from engine.motion.learning.learner import FrameNeeds, Learned, Learner
 from engine.motion.learning.lifecycle import LearningSetup
-from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_history import ReferenceHistory
+from engine.motion.learning.reference_transfer import RecentFrames
 from engine.motion.learning.tasks import LearningStages, Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.settings import PipelineSettings
+from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.projection import STRIDE_PX, project
+from engine.motion.stages.regions import WIDE
+from engine.motion.stages.roi import Aligned
+from engine.motion.tracking.breath_tracker import BreathTracker, motion_from
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.region_tracker import DepthTable, RegionTracker, coverage_lost
 from engine.motion.tracking.repeated_pictures import RepeatedPictures
-from engine.motion.trust import SurfaceTrust
+from engine.motion.trust import Depths, SurfaceTrust
 
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
 
 
-_Depths = tuple[FloatArray, FloatArray]
-"""Depth at the nodes and of the regions [mm]."""
+class FollowedMotion:
+    """Measures projected frames in order of time; owned by the pipeline's thread."""
+
+    def __init__(self, settings: PipelineSettings, learner: Learner) -> None:
+        self._settings, self._learner = settings, learner
+        self.recent = RecentFrames()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget breaths, lags and the last reference."""
+        settings = self._settings
+        self.breaths = BreathTracker(settings.breath_signals)
+        self._last_reference: Reference | None = None
+        self._lags = start_lags(settings.lag_pairs(), len(WIDE) + len(settings.points) + len(settings.named))
+
+    def motion(
+        self,
+        active: PreparedModel,
+        outcome: Projection,
+        depths_mm: tuple[FloatArray, FloatArray],
+        rays: FloatArray,
+        timestamp_us: int,
+    ) -> Motion:
+        """Return the motion of a frame.
+
+        Parameters
+        ----------
+        depths_mm
+            Its depth at the nodes and of the regions [mm].
+        rays
+            Rays of the nodes, shape (nodes, 3).
+        """
+        node_depth_mm, depth_mm = depths_mm
+        surface = surface_mm(rays, node_depth_mm)
+        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
+
+        def present() -> Reference:
+            """Smooth the reference at the present position over the last frames."""
+            smoothed = self.recent.smoothed(active, outcome)
+            smooth_surface = surface_mm(rays, active.node_depth_mm(smoothed.coefficients))
+            return active.reference(smoothed.coefficients, smooth_surface, active.seen_weights.shares(smoothed.seen))
+
+        reference, is_new = self._learner.reference.take_up(active, present)
+        motion = motion_from(reference, active, outcome, surface, depth_mm, self._lags.lags)
+        levels_from = self._learner.reference.levels_from
+        if levels_from is not None:
+            self._learner.reference.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
+        last_reference, self._last_reference = self._last_reference, reference
+        if self.breaths.has_reference_changed(active, is_reference_new=is_new) and last_reference is not None:
+            before = motion_from(last_reference, active, outcome, surface, depth_mm)
+            self.breaths.move(before, motion, is_end_exhale=self._learner.reference.is_end_exhale)
+            self._learner.reference.move_levels(before, motion)
+        return motion
+
+    def breath(self, motion: Motion, outcome: Projection, timestamp_us: int) -> tuple[Breath, ...]:
+        """Return the breath of each signal; the learner follows the first."""
+        breaths = self.breaths.follow(motion, timestamp_us)
+        if breaths:
+            self._learner.follow(outcome.coefficients, motion, breaths[0], timestamp_us)
+        return breaths
 
 
 class LearnedInPass(NamedTuple):
@@ -154,37 +216,50 @@ class Pipeline:
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
-        self.learner.collect(frame.timestamp_us)
+        needs = self.learner.begin_frame(frame.timestamp_us)
         found = self._find(frame)
         if isinstance(found, Lost):
             return self._measurement(frame, MeasurementState.LOST, lost=found)
-        stride_px = self._stride_px(frame.timestamp_us)
-        nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
+        stride_px = LEARNING_STRIDE_PX if needs.is_fine else STRIDE_PX
+        nodes, roi = self._tracker.region(frame, found, stride_px, has_model=needs.active is not None)
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
         self.learner.models.depth_steps = stored_steps(self._tracker.depth_steps)
         thin = roi.thinned(STRIDE_PX)
         self._trust.observe(frame, found, roi, thin)
-        self._find_costal_line(frame, found)
-        takes_lost_frames = self.learner.models.takes_lost_frames
-        if takes_lost_frames:
-            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
+        if needs.is_gathering and needs.active is None:
+            self._find_costal_line(frame, found)
+        if needs.takes_lost_frames:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
         self._followed.recent.add(thin, frame.timestamp_us)
         active = self.learner.active
-        if active is None:
-            self._keep(roi, frame.timestamp_us, nodes.pixels_px)
-            return self._without_model(frame, roi, found)
+        if active is not None:
+            return self._measured(frame, active, found, nodes, roi, thin, needs)
+        self._keep(roi, frame.timestamp_us, nodes.pixels_px)
+        return self._without_model(frame, roi, found)
+
+    def _measured(
+        self,
+        frame: RgbdFrame,
+        active: PreparedModel,
+        found: Markers,
+        nodes: Aligned,
+        roi: RoiDepth,
+        thin: RoiDepth,
+        needs: FrameNeeds,
+    ) -> Measurement:
+        """Measure a frame with a model, and learn from it unless it is doubted."""
         explained = self._explain(active, thin)
         if isinstance(explained, Lost):
             return self._lost(frame, explained, found)
         outcome, depths_mm = explained
-        self._trust.second_estimate.confirm()
         self._coefficients, self._projected_model = outcome.coefficients, active
         self._tracker.expect_depth(depths_mm[0])
         motion = self._followed.motion(active, outcome, depths_mm, nodes.rays, frame.timestamp_us)
         doubt = self._doubt()
         if doubt is None:
-            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, is_taken=takes_lost_frames)
+            if not needs.takes_lost_frames:
+                self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
         breaths = self._followed.breath(motion, outcome, frame.timestamp_us)
         return self._measurement(
@@ -242,7 +317,7 @@ class Pipeline:
         doubt = self._trust.second_estimate.doubt
         if (doubt is None) is not self._is_believed:
             self._is_believed = doubt is None
-            self.learner.positions.forget()  # breaths from before and after a movement are not of one position
+            self.learner.reference.forget_breaths()  # breaths from before and after a movement are not of one position
         return doubt
 
     def _reset_tracking(self) -> None:
@@ -260,17 +335,15 @@ class Pipeline:
 
     # -- learning -----------------------------------------------------------------------------------------------
 
-    def _learn(
-        self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray, *, is_taken: bool = False
-    ) -> None:
-        """Learn from a frame, unless it was taken before."""
-        if is_taken or (self._tracker.has_layout and not self.learner.models.is_gathering):
+    def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray, needs: FrameNeeds) -> None:
+        """Learn from a frame; the first one fixes the markers' layout."""
+        if self._tracker.has_layout and not needs.is_gathering:
             return
         if roi.valid.mean() < self._settings.min_valid_share:
             return
         if not self._tracker.has_layout:
             self._tracker.fix_layout(found)
-        if self.learner.models.is_gathering:
+        if needs.is_gathering:
             self._trust.second_estimate.gather()
             self.learner.models.learn(self._kept_frame(roi, timestamp_us, nodes_px))
 
@@ -280,14 +353,14 @@ class Pipeline:
             self._kept = roi, TrainingFrame.kept(roi, timestamp_us, nodes_px)
         return self._kept[1]
 
-    def _stride_px(self, timestamp_us: int) -> int:
-        is_learning = self.learner.active is None or self.learner.models.is_gathering
-        return LEARNING_STRIDE_PX if is_learning or self.learner.is_kept(timestamp_us) else STRIDE_PX
-
     def _keep(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> None:
-        """Keep a measured or training frame for a refit."""
-        if self.learner.is_kept(timestamp_us) and roi.valid.mean() >= self._settings.min_valid_share:
-            self.learner.keep(self._kept_frame(roi, timestamp_us, nodes_px))
+        """Offer a measured or training frame for a refit, unless too little of it was seen."""
+
+        def kept() -> TrainingFrame | None:
+            is_seen = roi.valid.mean() >= self._settings.min_valid_share
+            return self._kept_frame(roi, timestamp_us, nodes_px) if is_seen else None
+
+        self.learner.keep(timestamp_us, kept)
 
     def _present_stages(self) -> LearningStages:
         """Return the stages of a job that starts now."""
@@ -300,25 +373,23 @@ class Pipeline:
         return None if self._costal_line is None else self._costal_line.split
 
     def _find_costal_line(self, frame: RgbdFrame, found: Markers) -> None:
-        # Not during a fit: otherwise the pictures used would depend on the duration of the fit.
-        is_wanted = self.learner.active is None and self.learner.models.is_gathering
-        search = self._tracker.search(frame) if self._costal_line is not None and is_wanted else None
+        """Look for the stickers on the costal line; not during a fit, whose duration would choose the pictures."""
+        search = None if self._costal_line is None else self._tracker.search(frame)
         if self._costal_line is not None and search is not None:
             self._costal_line.search(frame.color, search, found.centers_px)
 
     # -- measuring ----------------------------------------------------------------------------------------------
 
-    def _explain(self, active: PreparedModel, roi: RoiDepth) -> tuple[Projection, _Depths] | Lost:
+    def _explain(self, active: PreparedModel, roi: RoiDepth) -> tuple[Projection, Depths] | Lost:
         """Project a frame, and ask whether its surface can be trusted; return its depths with the projection."""
         before = self._coefficients if self._projected_model is active else None
         noise_mm = self._trust.second_estimate.noise.counting(active.model.noise_mm)
         best = project(active.basis, roi, before, noise_mm)
         outcome = coverage_lost(0.0) if best is None else refusal(best, self._settings) or best
-        self._trust.compare(active, is_reference_due=self.learner.reference.is_due)
-        filtered = self._trust.filtered(active)
-        if filtered is not None:
-            return filtered
-        if isinstance(outcome, Lost):
-            return outcome
-        depths_mm = active.depths_mm(outcome.coefficients)
-        return self._trust.lost(active, depths_mm[0], self.learner.journal.position_generation) or (outcome, depths_mm)
+        learner = self.learner
+        return self._trust.judge(
+            active,
+            outcome,
+            is_reference_due=learner.reference.is_due,
+            position_generation=learner.journal.position_generation,
+        )

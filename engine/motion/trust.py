@@ -1,12 +1,15 @@
 """Whether the surface in the region can be trusted as this patient's skin: three checks beside the motion model."""
 
 from engine.calibration.camera_calibration import Calibration
-from engine.core.frames import FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.frames import FloatArray, Lost, LostReason, Markers, Projection, RgbdFrame, RoiDepth
 from engine.core.sentences import say
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.cross_check.present_noise import FILTERED_SHARE
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.tracking.surface_continuity import MarkerLayout, ObservedSurface, SurfaceContinuity, marker_points_mm
+
+Depths = tuple[FloatArray, FloatArray]
+"""Depth at the nodes and of the regions [mm]."""
 
 LEAST_TRAINED_MM = 2.0
 """Noise of a training [mm, as a model's] below which a filter is not looked for; usual sensors have 5."""
@@ -36,19 +39,34 @@ class SurfaceTrust:
         self._points_mm = marker_points_mm(rays, roi)
         self.second_estimate.observe(frame, found, rays, thin)
 
-    def compare(self, active: PreparedModel, *, is_reference_due: bool) -> None:
-        """Compare the frame with the reference by the second estimate, which needs no projection."""
+    def judge(
+        self, active: PreparedModel, outcome: Projection | Lost, *, is_reference_due: bool, position_generation: int
+    ) -> tuple[Projection, Depths] | Lost:
+        """Return a projected frame with its depths where its surface is trusted, or else why not.
+
+        ``position_generation`` counts the references that a person has set; a new one resets layout and continuity. The
+        comparison with the reference needs no projection: it is made of a frame that the model does not explain too.
+        """
         self._disagreement = self.second_estimate.lost(
             active.model, is_reference_due=is_reference_due, learned=active.beside
         )
+        filtered = self._filtered(active)
+        if filtered is not None:
+            return filtered
+        if isinstance(outcome, Lost):
+            return outcome
+        depths_mm = active.depths_mm(outcome.coefficients)
+        untrusted = self._untrusted(active, depths_mm[0], position_generation)
+        if untrusted is not None:
+            return untrusted
+        self.second_estimate.confirm()
+        return outcome, depths_mm
 
-    def lost(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
+    def _untrusted(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
         """Return why the surface of an explained frame is not trusted, None where it is.
 
         Where the camera or the couch has moved too, that is named: it explains a surface that has changed. A movement
         alone is a doubt (`CrossCheck.doubt`): the surface is still this patient's skin.
-
-        ``position_generation`` counts the references that a person has set; a new one resets layout and continuity.
         """
         self._layout.restart(position_generation)
         elsewhere = self._layout.lost(self._points_mm, self._timestamp_us)
@@ -69,7 +87,7 @@ class SurfaceTrust:
         detail = self._continuity.rejection(observed, modes, noise_mm)
         return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
 
-    def filtered(self, active: PreparedModel) -> Lost | None:
+    def _filtered(self, active: PreparedModel) -> Lost | None:
         """Return the loss of frames whose depth has far less noise than the training had; None where it has not."""
         trained_mm, noise = active.model.noise_mm, self.second_estimate.noise
         if trained_mm < LEAST_TRAINED_MM or not noise.share_soon(trained_mm) < FILTERED_SHARE:

@@ -11,6 +11,7 @@ from service.cli.command_group import command_group
 from service.cli.terminal import refused
 from service.core.settings.config_file import ENVIRONMENT_ONLY, SettingsError
 from service.core.settings.names import place_of, setting_name
+from service.core.settings.qa import CHOSEN
 from service.core.settings.settings import Settings, load_settings, sources
 from service.storage.audit.check import redacted_settings
 
@@ -49,7 +50,10 @@ def _lines(settings: Settings, came_from: dict[str, str], *, changed: bool) -> I
     for number, section in enumerate(sections):
         yield f"{chr(10) if number else ''}[{section}]"
         for name in sorted(one for one in shown if place_of(one)[0] == section):
-            yield _line(name, values[name], came_from[name])
+            bounds = settings.qa_bounds_chosen if name == CHOSEN else {}
+            yield from (f"{f'{key} = {bound:g}':<{WIDTH}}  # {came_from[name]}" for key, bound in bounds.items())
+            if not bounds:
+                yield _line(name, values[name], came_from[name])
 
 
 def _line(name: str, value: object, source: str) -> str:

@@ -120,7 +120,6 @@ def _serve(settings: "Settings", engine: "ProcessEngine") -> None:
         host=settings.host,
         port=settings.port,
         certificate=app.state.certificate,
-        connection_limits=settings.connection_limits,
         max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
         leave=os._exit,
         trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),

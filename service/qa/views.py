@@ -7,7 +7,6 @@ from sqlalchemy.orm import Session
 
 from engine.qa import CHECKS, QaCheck, QaNeed, check_of
 from service.core.conditional import etag_of
-from service.core.settings.names import setting_name
 from service.core.settings.qa import QaSettings, setting_of
 from service.qa import queries, schemas
 from service.storage.database.tables import QaBaselineRow, QaResultRow, QaRunRow
@@ -119,7 +118,7 @@ def _check(check: QaCheck, settings: QaSettings) -> schemas.QaCheck:
             "sidedness": check.sidedness.value,
             "warn": bound.warn,
             "fail": bound.fail,
-            "warn_setting": setting_name(setting_of(check.code, "warn")),
-            "fail_setting": setting_name(setting_of(check.code, "fail")),
+            "warn_setting": f"qa.{setting_of(check.code, 'warn')}",
+            "fail_setting": f"qa.{setting_of(check.code, 'fail')}",
         }
     )

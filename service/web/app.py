@@ -22,6 +22,7 @@ from engine import __version__
 from engine.core.errors import TidegateError
 from service.access.accounts.people import OnFirstAdmin
 from service.access.request.addresses import ClientAddresses
+from service.core.settings.groups import ConnectionLimits
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import EnginePort
@@ -206,7 +207,7 @@ def create_app(
                 RequestMiddleware,
                 host_names=settings.host_names,
                 max_body_bytes=settings.max_body_bytes,
-                max_body_s=settings.http_body_s,
+                max_body_s=ConnectionLimits().body_s,
                 larger_bodies={PLAN_IMPORT: settings.max_plan_bytes},
             ),
             Middleware(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.core.settings.names import CONFIG, OVERRIDES, PREFIX, place_of
+from service.core.settings.qa import KNOWN_BOUNDS
 from service.core.settings.settings import Settings
 
 FILE = "tidegate.toml"
@@ -22,14 +23,15 @@ def with_config(environment: Mapping[str, str], folder: Path) -> dict[str, str]:
     moved = {}
     for variable in environment:
         name = variable.removeprefix(PREFIX).lower()
-        if variable.startswith(PREFIX) and name in Settings.model_fields and name not in OVERRIDES:
+        is_known = name in Settings.model_fields or name.removeprefix("qa_") in KNOWN_BOUNDS
+        if variable.startswith(PREFIX) and is_known and name not in OVERRIDES:
             moved[name] = kept.pop(variable)
     if not moved:
         return kept
     path = folder / FILE
     tables = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for name, value in moved.items():
-        section, key = place_of(name)
+        section, key = place_of(name) if name in Settings.model_fields else ("qa", name.removeprefix("qa_"))
         tables.setdefault(section, {})[key] = value
     folder.mkdir(parents=True, exist_ok=True)
     lines = [

@@ -51,12 +51,13 @@ def words(files: Mapping[str, bytes]) -> str:
 
 def overrides(files: Mapping[str, bytes]) -> str:
     """Count the settings that an environment variable can give; all of them before there was a file."""
-    names = files.get("service/core/settings/names.py")
-    if names is None:
+    groups = [text.decode() for path, text in files.items() if path.startswith("service/core/settings/")]
+    if not any("place_of" in text for text in groups):
         return "all"
-    listed = re.search(r"OVERRIDES = frozenset\(\s*\{(.*?)\}", names.decode(), re.DOTALL)
-    assert listed is not None, "names.py lists them"
-    return str(len(re.findall(r'"\w+"', listed[1])))
+    listed = [
+        found[1] for text in groups if (found := re.search(r"OVERRIDES = frozenset\(\s*\{(.*?)\}", text, re.DOTALL))
+    ]
+    return str(sum(len(re.findall(r'"\w+"', text)) for text in listed) or sum(text.count("Env[") for text in groups))
 
 
 def operations(files: Mapping[str, bytes]) -> str:

@@ -1,9 +1,9 @@
 """The generated parts of docs/3-operate/security.md: ``python -m verification.attack.security_document --write``."""
 
+from dataclasses import fields
 from functools import partial
 
-from service.core.settings.groups import ConnectionSettings
-from service.core.settings.names import setting_name
+from service.core.settings.groups import ConnectionLimits
 from service.web.middleware.requests import SECURITY_HEADERS
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
@@ -13,12 +13,9 @@ DOCUMENT = ROOT / "docs" / "3-operate" / "security.md"
 
 
 def limits() -> str:
-    """Every setting of the doors, with its default and bounds."""
-    rows = []
-    for name, field in ConnectionSettings.model_fields.items():
-        low, high = (getattr(one, key) for one in field.metadata for key in ("ge", "le") if hasattr(one, key))
-        rows.append(f"| `{setting_name(name)}` | {field.default:g} | {low:g} to {high:g} | {field.description} |")
-    return "\n".join(["| setting | default | may be | what it bounds |", "|---|---|---|---|", *rows])
+    """Every limit of a connection."""
+    rows = [f"| `{one.name}` | {one.default:g} | {one.metadata['what']} |" for one in fields(ConnectionLimits)]
+    return "\n".join(["| limit | value | what it bounds |", "|---|---|---|", *rows])
 
 
 def headers() -> str:

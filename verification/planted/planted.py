@@ -328,7 +328,7 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="a jump leaves the level known",
-        file="engine/gating/supervision/baseline.py",
+        file="engine/gating/supervision/patient_shift.py",
         old="self._note_jump(measurement.motion, measurement.frame_index, now_us, levels)",
         new="pass",
         test=f"{_SUPERVISION}/test_baseline.py::test_after_a_jump_the_level_is_confirmed_as_after_a_loss",
@@ -364,7 +364,7 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="a reference waits without limit for a measured frame",
-        file="engine/motion/learning/reference_state.py",
+        file="engine/motion/learning/reference.py",
         old="0 <= self._journal.now_us - self._request.at_us <= MAX_GAP_US",
         new="self._request.at_us >= 0",
         test="tests/engine/motion/learning/test_reference_history.py::"

@@ -20,9 +20,8 @@ from engine.core.signals import is_wide
 from engine.core.warmth import Warmth
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
-from engine.gating.supervision.baseline import RETURNED, Baseline
 from engine.gating.supervision.checks import Checks, CheckState
-from engine.gating.supervision.patient_shift import NODES, Movement, PatientShift
+from engine.gating.supervision.patient_shift import NODES, RETURNED, Baseline, Movement, PatientShift
 from engine.gating.windows import GateWindow
 
 REDISTRIBUTED_SHARE = 0.3
@@ -46,7 +45,7 @@ MAX_OLD_IN_PART_MS = 50.0
 # Cloth that swells, a belly that fills, or a growing error of the depth over half of the region is explained by a
 # tilt of the body, or by a shift between thorax and abdomen, which both come and go within a breath. At the end of
 # exhale neither is left of a breath: there they are drifts, and bounded as the level is
-# (:mod:`engine.gating.supervision.baseline`).
+# (:mod:`engine.gating.supervision.patient_shift`).
 class _Shape(NamedTuple):
     """Tilt about the axis across the body [deg] and redistribution [mm], of one frame."""
 

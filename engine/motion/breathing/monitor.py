@@ -13,6 +13,15 @@ from engine.core.replacing import replace
 from engine.motion.breathing import breathing_history as histories, events as event_rules
 from engine.motion.breathing.breathing_habit import BreathingHabit
 from engine.motion.breathing.breathing_history import INITIAL_BREATHS, BreathingHistory, suspending
+from engine.motion.breathing.cycles import (
+    FALLING,
+    RISING,
+    UNKNOWN,
+    Bins,
+    TurningPoints,
+    follow_bins,
+    follow_turns,
+)
 from engine.motion.breathing.events import Spikes, follow_spikes
 from engine.motion.breathing.position_check import (
     CurrentBreath,
@@ -32,15 +41,6 @@ from engine.motion.breathing.report import (
     advance,
     breath_of,
     synchronise,
-)
-from engine.motion.breathing.turning_points import (
-    FALLING,
-    RISING,
-    UNKNOWN,
-    Bins,
-    TurningPoints,
-    follow_bins,
-    follow_turns,
 )
 
 GAP_S = 0.55

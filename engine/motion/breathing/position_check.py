@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from engine.core.replacing import replace
 from engine.motion.breathing.breathing_habit import BreathingHabit, Cycle, Path, height_at, shape_of
-from engine.motion.breathing.turning_points import FALLING, RISING, TurningPoints
+from engine.motion.breathing.cycles import FALLING, RISING, TurningPoints
 
 MIN_SPEED_MM_S = 0.1
 MAX_PATH = 300

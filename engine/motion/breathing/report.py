@@ -16,8 +16,8 @@ from engine.core.replacing import replace
 from engine.core.sentences import say
 from engine.motion.breathing.breathing_habit import BreathingHabit
 from engine.motion.breathing.breathing_history import INITIAL_BREATHS, LEARNED_CYCLES, BreathingHistory
+from engine.motion.breathing.cycles import RISING
 from engine.motion.breathing.events import Events
-from engine.motion.breathing.turning_points import RISING
 
 ERROR_SHARE = 0.35
 WAIT_FOR_NONE = 25.0

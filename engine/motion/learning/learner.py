@@ -1,14 +1,12 @@
 """Manages the motion model and the reference: collects frames, starts fits, switches models between two frames.
 
 Owned by the pipeline's thread, and separate from measuring: the frame path does not depend on how models are made. The
-model's life is in :mod:`engine.motion.learning.lifecycle`, the reference in `reference_state`, the positions that are
-proposed for it in `reference_positions`, refits in `refit`.
-
-What a recording's first pass has learned, for the second.
+model's life is in :mod:`engine.motion.learning.lifecycle`, the reference in `reference`, refits in `refit`.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import CommandRefusedError
@@ -17,13 +15,13 @@ from engine.core.learning_status import LearningEvent, LearningEventKind, Learni
 from engine.core.motion_model import MotionModel
 from engine.core.reference import ReferenceDistance, ReferenceMoment
 from engine.core.sentences import say
-from engine.core.signals import LearnedLevels, Ranges
+from engine.core.signals import LearnedLevels, Ranges, ranges_of
 from engine.motion.learning.learning_journal import LearningJournal
 from engine.motion.learning.lifecycle import LearningSetup, ModelLifecycle
+from engine.motion.learning.past_frames import PastFollower
 from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.reference import PatientReference
 from engine.motion.learning.reference_history import ReferenceHistory
-from engine.motion.learning.reference_positions import ReferencePositions
-from engine.motion.learning.reference_state import ReferenceState
 from engine.motion.learning.refit import SessionRefits
 from engine.motion.learning.tasks import Outcome
 from engine.motion.learning.trainer import Trainer
@@ -41,6 +39,27 @@ class Learned:
     patient_match: PatientMatch | None
 
 
+class FrameNeeds(NamedTuple):
+    """What learning needs of a frame.
+
+    Attributes
+    ----------
+    active
+        The model that the frame is measured with; None before the first.
+    is_gathering
+        Whether a training takes frames.
+    takes_lost_frames
+        Whether it also takes frames that the present model does not explain.
+    is_fine
+        Whether the frame is sampled as finely as training frames.
+    """
+
+    active: PreparedModel | None
+    is_gathering: bool
+    takes_lost_frames: bool
+    is_fine: bool
+
+
 class Learner:
     """The present model, its reference, and the next model in progress.
 
@@ -54,15 +73,15 @@ class Learner:
 
     def __init__(self, setup: LearningSetup, trainer: Trainer[Outcome], history: ReferenceHistory) -> None:
         self.history, self.journal = history, LearningJournal()
-        self.positions = ReferencePositions(history, self.journal, setup.stages.vertices)
-        self.reference = ReferenceState(history, self.journal, self.positions)
+        self._past = PastFollower(setup.stages.vertices)
+        self.reference = PatientReference(history, self.journal, self._past)
         self.refits = SessionRefits(setup.settings, setup.stages, setup.calibration_sha256)
         self.models = ModelLifecycle(
             setup,
             trainer=trainer,
             journal=self.journal,
             reference=self.reference,
-            positions=self.positions,
+            past=self._past,
             refits=self.refits,
         )
 
@@ -82,7 +101,7 @@ class Learner:
             is_model_waiting=self.models.candidate is not None,
             has_reference=reference.is_set,
             reference_number=reference.number,
-            reference_proposals=self.positions.proposed,
+            reference_proposals=reference.proposed,
             reference_distance=reference.distance if reference.is_set else None,
             patient_match=self.models.patient_match,
             position_check=reference.position_check if reference.is_set else None,
@@ -91,7 +110,7 @@ class Learner:
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return the range of each signal in the training relative to the reference; empty without a reference."""
-        return self.reference.ranges(self.models.active, choices)
+        return ranges_of(self.learned_levels(choices))
 
     def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
         """Return the levels of each signal in the training relative to the reference; empty without a reference."""
@@ -103,7 +122,7 @@ class Learner:
         The present position is that of the newest frame.
         """
         active = self.models.active
-        return None if active is None else self.positions.distance(active, moment)
+        return None if active is None else self.reference.distance_at(active, moment)
 
     def take_notices(self) -> list[LearningEvent]:
         """Return the events since the last call."""
@@ -182,24 +201,38 @@ class Learner:
 
     # -- between and at frames ----------------------------------------------------------------------------------
 
-    def collect(self, timestamp_us: int) -> None:
-        """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
+    def begin_frame(self, timestamp_us: int) -> FrameNeeds:
+        """Between two frames: take the trainer's result, switch models if allowed, start a training that is due.
+
+        Return what learning needs of the next frame.
+        """
         self.journal.now_us = timestamp_us
         self.reference.drop_late_request()
-        self.positions.follow_past()
+        self.reference.use_past()
         self.models.collect()
         self.models.switch_if_allowed()
         self.models.retrain_if_due()
+        return self.needs(timestamp_us)
 
-    def take_up_reference(self, active: PreparedModel, present: Callable[[], Reference]) -> Reference:
-        """Return the reference; a requested position, or the present one, becomes it if it is due."""
-        return self.reference.take_up(active, present)
+    def needs(self, timestamp_us: int) -> FrameNeeds:
+        """Return what learning needs of a frame of this time."""
+        models = self.models
+        return FrameNeeds(
+            active=models.active,
+            is_gathering=models.is_gathering,
+            takes_lost_frames=models.takes_lost_frames,
+            is_fine=models.active is None or models.is_gathering or self._is_kept(timestamp_us),
+        )
+
+    def _is_kept(self, timestamp_us: int) -> bool:
+        has_model = self.models.active is not None
+        return self.refits.is_due(timestamp_us) or self._past.is_due(timestamp_us, has_model=has_model)
 
     def follow(self, coefficients: FloatArray, motion: Motion, breath: Breath, timestamp_us: int) -> None:
         """Add a measured frame to the positions that are proposed as the reference."""
         if self.models.active is None:
             return
-        self.positions.follow(
+        self.reference.follow(
             self.models.active,
             coefficients,
             motion,
@@ -209,14 +242,12 @@ class Learner:
             is_armed=self.models.is_held,
         )
 
-    def is_kept(self, timestamp_us: int) -> bool:
-        """Whether a frame of this time is kept: it has to be sampled as finely as a training frame."""
-        has_model = self.models.active is not None
-        return self.refits.is_due(timestamp_us) or self.positions.is_past_due(timestamp_us, has_model=has_model)
-
-    def keep(self, frame: TrainingFrame) -> None:
+    def keep(self, timestamp_us: int, kept: Callable[[], TrainingFrame | None]) -> None:
         """Keep a measured or training frame if it is due, and start a refit that has become due."""
-        self.positions.keep_past(frame, has_model=self.models.active is not None)
-        if self.refits.is_due(frame.timestamp_us):
+        frame = kept() if self._is_kept(timestamp_us) else None
+        if frame is None:
+            return
+        self._past.keep(frame, has_model=self.models.active is not None)
+        if self.refits.is_due(timestamp_us):
             self.refits.add(frame)
             self.models.refit_if_due()

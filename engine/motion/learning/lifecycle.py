@@ -15,10 +15,10 @@ from engine.core.motion_model import MotionModel
 from engine.core.sentences import say
 from engine.motion.learning.depth_steps import StepsJob, steps_mismatch
 from engine.motion.learning.learning_journal import LearningJournal, match_figures, transfer_figures
+from engine.motion.learning.past_frames import PastFollower
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel
-from engine.motion.learning.reference_positions import ReferencePositions
-from engine.motion.learning.reference_state import ReferenceState
+from engine.motion.learning.reference import PatientReference
 from engine.motion.learning.tasks import (
     Candidate,
     CompareTask,
@@ -131,12 +131,12 @@ class ModelLifecycle:
         *,
         trainer: Trainer[Outcome],
         journal: LearningJournal,
-        reference: ReferenceState,
-        positions: ReferencePositions,
+        reference: PatientReference,
+        past: PastFollower,
         refits: "SessionRefits",
     ) -> None:
         self.setup, self._trainer, self._journal = setup, trainer, journal
-        self._reference, self._positions, self._refits = reference, positions, refits
+        self._reference, self._past, self._refits = reference, past, refits
         self.active: PreparedModel | None = None
         self.candidate: Candidate | None = None
         self.patient_match: PatientMatch | None = None
@@ -203,7 +203,7 @@ class ModelLifecycle:
         """Collect frames for a new model."""
         setup = self.setup
         self._task = FitTask(setup.settings, setup.stages, setup.calibration_sha256, keeps_reference=keeps_reference)
-        self._positions.clear_past()
+        self._past.clear()
         self._refits.begin()
 
     def retrain(self, *, keeps_reference: bool) -> None:
@@ -297,8 +297,7 @@ class ModelLifecycle:
             if isinstance(task, FitTask):
                 job = StepsJob(job=job, steps=self.depth_steps)
             if self.active is None:
-                stretch = self._positions.past_stretch
-                job = PastBreathsJob(job=job, stretch=stretch, stages=self.setup.stages.of_now())
+                job = PastBreathsJob(job=job, stretch=self._past.stretch, stages=self.setup.stages.of_now())
             self.start(job)
 
     def refit_if_due(self) -> None:
@@ -370,7 +369,8 @@ class ModelLifecycle:
         if not is_transferred:
             detail = say("a new model without a reference: set it before arming")
             self._journal.emit(LearningEventKind.ZERO_NEEDED, detail)
-        self._positions.begin_past(candidate.past_breaths)
+        self._past.begin(candidate.past_breaths)
+        self._reference.use_past()
         if candidate.is_stored:
             self._compare(candidate.active, Comparison.FIRST)
 

@@ -169,3 +169,48 @@ class PastBreaths:
                 self.proposals.measured_from = measured.reference
             self._followed = self._followed._replace(frames=(frame,))
         return len(waiting) <= len(waiting[:most])
+
+
+class PastFollower:
+    """Follows the frames from before the first model behind its fit; owned by the pipeline's thread."""
+
+    def __init__(self, vertices: Vertices) -> None:
+        self._frames = PastFrames(vertices)
+        self._breaths: PastBreaths | None = None
+
+    @property
+    def stretch(self) -> Stretch:
+        """The frames from before the first model."""
+        return self._frames.stretch
+
+    def clear(self) -> None:
+        """Drop those frames."""
+        self._frames.clear()
+
+    def forget(self) -> None:
+        """Follow them no further: the patient or the camera may be elsewhere."""
+        self._breaths = None
+
+    def is_due(self, timestamp_us: int, *, has_model: bool) -> bool:
+        """Whether a frame of this time is kept: without a model, and until those of the first fit are followed."""
+        return (not has_model or self._breaths is not None) and self._frames.is_due(timestamp_us)
+
+    def keep(self, frame: TrainingFrame, *, has_model: bool) -> None:
+        """Keep a frame that is due."""
+        if self.is_due(frame.timestamp_us, has_model=has_model):
+            self._frames.add(frame)
+
+    def begin(self, breaths: PastBreaths | None) -> None:
+        """Follow the frames that arrived during the first fit; other models have none."""
+        self._breaths = breaths
+        if breaths is None:
+            self._frames.clear()
+
+    def follow(self) -> ReferenceProposals | None:
+        """Follow some of those frames; return their positions behind the last one, and None before."""
+        breaths = self._breaths
+        if breaths is None or not breaths.follow(self._frames.stretch, FOLLOWED_AT_ONCE):
+            return None
+        self._breaths = None
+        self._frames.clear()
+        return breaths.proposals

@@ -15,9 +15,8 @@ from engine.core.breath import Breath, SignalChoice
 from engine.core.frames import FloatArray, Motion, SeenShares, frozen
 from engine.core.reference import ReferenceMoment, ReferenceProposal
 from engine.core.signals import Ranges, signal_of
-from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.prepared_model import PreparedModel, Reference, of_regions
 from engine.motion.learning.reference_transfer import ReferenceTransfer
-from engine.motion.learning.seen_shares import of_regions
 from engine.motion.stages.surface import vertices_mm
 
 RELEASED_AT_ONCE = 8

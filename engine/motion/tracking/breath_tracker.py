@@ -24,10 +24,9 @@ from engine.motion.breathing import (
     start_breathing,
     with_baseline,
 )
-from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.prepared_model import PreparedModel, Reference, SeenWeights
 from engine.motion.learning.reference_proposals import PastMotion
 from engine.motion.learning.reference_transfer import Explain
-from engine.motion.learning.seen_shares import SeenWeights
 from engine.motion.learning.training_set import TrainingFrame, Vertices
 
 US_PER_S = 1e6

@@ -23,7 +23,7 @@ from engine.core.frames import BoolArray, FloatArray, Measurement, MeasurementSt
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Gate, step_gate
 from engine.gating.limits import GateLimits
-from engine.gating.supervision.baseline import BREATH_SHARE, HALF, Baseline
+from engine.gating.supervision.patient_shift import BREATH_SHARE, HALF, Baseline
 from engine.gating.windows import AmplitudeWindow
 from engine.motion.breathing import BreathingState, follow_breathing, start_breathing, with_baseline
 from engine.qa.recorded_traces import read_trace

@@ -5,35 +5,58 @@ from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode
+from pydantic_settings import NoDecode
 
-from service.core.settings.names import PREFIX
+from service.core.settings.names import PREFIX, Env, In, Section
 
 Addresses = Annotated[tuple[str, ...], NoDecode]
+NameList = Annotated[tuple[str, ...], NoDecode]
 MOST_PROXIES = 16
 
 
-class AccessSettings(BaseSettings):
+class AccessSettings(Section):
     """Settings of access; a part of :class:`service.core.settings.settings.Settings`."""
 
-    host: str = Field(default="127.0.0.1", min_length=1, max_length=253)
-    tls_cert: Path | None = Field(default=None, description="The service's certificate chain (PEM)")
-    tls_key: Path | None = Field(default=None, description="The certificate's key")
-    behind_proxy: bool = Field(default=False, description="A reverse proxy in front terminates TLS")
-    trusted_proxies: Addresses = Field(
+    SECTION = "web"
+
+    port: Env[int] = Field(default=8000, ge=0, le=65535)
+    allowed_hosts: Env[NameList] = Field(
+        default=(), description="Names accepted in the Host header; default: loopback names"
+    )
+    allowed_origins: Env[NameList] = Field(
+        default=(), description="Origins of other pages that may open the live stream"
+    )
+    max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
+    command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
+    host: Env[str] = Field(default="127.0.0.1", min_length=1, max_length=253)
+    tls_cert: Env[Path | None] = Field(default=None, description="The service's certificate chain (PEM)")
+    tls_key: Env[Path | None] = Field(default=None, description="The certificate's key")
+    behind_proxy: Env[bool] = Field(default=False, description="A reverse proxy in front terminates TLS")
+    trusted_proxies: Env[Addresses] = Field(
         default=(),
         max_length=MOST_PROXIES,
         description="Addresses or networks whose X-Forwarded-For is trusted, comma-separated; default: loopback",
     )
-    login_hours: float = Field(default=12.0, ge=0.25, le=24.0, description="Longest log-in")
-    login_idle_min: float = Field(
+    certificate_warn_days: int = Field(
+        default=30, ge=1, le=365, description="`/readyz` warns this long before the TLS certificate expires"
+    )
+    idempotency_days: float = Field(
+        default=7.0,
+        ge=1.0,
+        le=365.0,
+        description="Lifetime of an Idempotency-Key; after it the key is treated as new",
+    )
+    login_hours: Annotated[float, In("access")] = Field(default=12.0, ge=0.25, le=24.0, description="Longest log-in")
+    login_idle_min: Annotated[float, In("access")] = Field(
         default=30.0, ge=1.0, le=720.0, description="A log-in ends after this time without a request"
     )
-    key_max_days: int = Field(default=365, ge=1, le=1825, description="Longest lifetime of an API key")
+    key_max_days: Annotated[int, In("access")] = Field(
+        default=365, ge=1, le=1825, description="Longest lifetime of an API key"
+    )
 
-    @field_validator("trusted_proxies", mode="before")
+    @field_validator("trusted_proxies", "allowed_hosts", "allowed_origins", mode="before")
     @classmethod
-    def _split_addresses(cls, value: object) -> object:
+    def _split(cls, value: object) -> object:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
 
     @field_validator("trusted_proxies")

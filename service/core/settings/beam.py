@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode
+from pydantic_settings import NoDecode
 
 from engine.beam import (
     ABSENT_BOUNDS_S,
@@ -28,7 +28,7 @@ from engine.beam import (
     check_channels,
 )
 from engine.core.errors import InvalidValueError
-from service.core.settings.names import PREFIX, setting_name
+from service.core.settings.names import PREFIX, Env, In, Section, setting_name
 
 LineKind: TypeAlias = Literal["simulated", "modbus-tcp", "modbus-rtu", "serial-relay"]
 Mode: TypeAlias = Literal["research", "clinical"]
@@ -77,24 +77,29 @@ SECOND_INPUTS = ("beam_second_input", "beam_second_input_2")
 DEVICES = ("beam_rtu_device", "beam_relay_device")
 
 
-class BeamSettings(BaseSettings):
+class BeamSettings(Section):
     """Settings of the beam line; a part of :class:`service.core.settings.settings.Settings`."""
 
-    mode: Mode = Field(default="research", description="Clinical mode has narrower bounds; docs/3-operate/clinical.md")
-    beam_line: LineKind = "simulated"
-    beam_line_2: LineKind | None = Field(
+    SECTION = "beam"
+    KEY_PREFIX = "beam_"
+
+    mode: Annotated[Env[Mode], In("site")] = Field(
+        default="research", description="Clinical mode has narrower bounds; docs/3-operate/clinical.md"
+    )
+    beam_line: Env[LineKind] = "simulated"
+    beam_line_2: Env[LineKind | None] = Field(
         default=None, description="A second line of another kind; the beam is on only if both permit"
     )
-    hardware_dead_man: bool = Field(
+    hardware_dead_man: Env[bool] = Field(
         default=False,
         description="The site declares a tested device that drops the beam without this computer; in the audit",
     )
-    beam_second_input: str = Field(
+    beam_second_input: Env[str] = Field(
         default="",
         max_length=MAX_TARGET_LENGTH,
         description="What shows the contact to the drill of the heartbeat: readback, or HOST:PORT/UNIT/INPUT (Modbus)",
     )
-    beam_second_input_2: str = Field(
+    beam_second_input_2: Env[str] = Field(
         default="", max_length=MAX_TARGET_LENGTH, description="The same for the second line's contact"
     )
     beam_answer_ms: float = Field(
@@ -109,8 +114,8 @@ class BeamSettings(BaseSettings):
         le=TIME_BOUNDS["settle_ms"][1],
         description="Longest time until the read-back follows",
     )
-    beam_modbus_host: str = Field(default="", max_length=253)
-    beam_modbus_port: int = Field(default=502, ge=1, le=65_535)
+    beam_modbus_host: Env[str] = Field(default="", max_length=253)
+    beam_modbus_port: Env[int] = Field(default=502, ge=1, le=65_535)
     beam_modbus_unit: int = Field(default=1, ge=MAP_BOUNDS["unit"][0], le=MAP_BOUNDS["unit"][1])
     beam_modbus_permit_coil: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_heartbeat_register: int = Field(default=0, ge=0, le=65_535)
@@ -121,7 +126,7 @@ class BeamSettings(BaseSettings):
         le=MAP_BOUNDS["permit_coil"][1],
         description="Coil that is 1 only while a session runs: a gate is expected; -1 is none",
     )
-    beam_on_input: int = Field(
+    beam_on_input: Env[int] = Field(
         default=NO_CHANNEL,
         ge=NO_CHANNEL,
         le=MAP_BOUNDS["readback_input"][1],
@@ -145,11 +150,11 @@ class BeamSettings(BaseSettings):
         le=int(ACCELERATOR_BOUNDS_MS[1]),
         description="Delay of a simulated accelerator behind the simulated line; -1 is none",
     )
-    beam_rtu_device: str = Field(default="", max_length=255)
-    beam_rtu_baud: int = Field(default=19_200, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
+    beam_rtu_device: Env[str] = Field(default="", max_length=255)
+    beam_rtu_baud: Env[int] = Field(default=19_200, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
     beam_rtu_parity: Parity = "even"
     beam_rtu_stop_bits: int = Field(default=1, ge=1, le=2)
-    beam_relay_device: str = Field(default="", max_length=255)
+    beam_relay_device: Env[str] = Field(default="", max_length=255)
     beam_relay_baud: int = Field(default=9_600, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
     beam_relay_protocol: Protocol = "lcus"
     beam_relay_channel: int = Field(default=1, ge=0, le=31)
@@ -160,8 +165,8 @@ class BeamSettings(BaseSettings):
     beam_relay_expected_channel: int = Field(
         default=NO_CHANNEL, ge=NO_CHANNEL, le=31, description="Relay that is on while a session runs; -1 is none"
     )
-    beam_notify_udp: Targets = Field(default=(), max_length=MAX_TARGETS, description="host:port, comma-separated")
-    beam_notify_http: Targets = Field(default=(), max_length=MAX_TARGETS, description="Addresses, comma-separated")
+    beam_notify_udp: Env[Targets] = Field(default=(), max_length=MAX_TARGETS, description="host:port, comma-separated")
+    beam_notify_http: Env[Targets] = Field(default=(), max_length=MAX_TARGETS, description="Addresses, comma-separated")
     beam_notify_timeout_s: float = Field(default=1.0, ge=0.1, le=10.0)
 
     @field_validator("beam_notify_udp", "beam_notify_http", mode="before")

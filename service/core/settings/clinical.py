@@ -43,7 +43,6 @@ EXEMPT: Mapping[str, str] = {
     **dict.fromkeys(
         (
             "port",
-            "http_",
             "max_live_clients",
             "live_",
             "max_body_bytes",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.core.settings.names import CONFIG, place_of, setting_name
+from service.core.settings.qa import CHOSEN, KNOWN_BOUNDS
 
 MAX_BYTES = 1_000_000
 ENVIRONMENT_ONLY = frozenset({"frame_path"})
@@ -45,13 +46,13 @@ def read_config(path: Path, known: Mapping[str, object]) -> dict[str, Any]:
             wrong.append(f"{section} stands outside a section: {_where(section, names)}")
             continue
         for key, value in keys.items():
-            name = names.get((section, key))
+            name = CHOSEN if section == "qa" and key in KNOWN_BOUNDS else names.get((section, key))
             if name is None:
                 wrong.append(f"{section}.{key} is not a setting of Tidegate: {_where(key, names, section)}")
             elif isinstance(value, bool) and "bool" not in str(known[name]):
                 wrong.append(f"{section}.{key} is {str(value).lower()}: must be no truth value")
             else:
-                found[name] = value
+                found[name] = found.get(name, {}) | {key: value} if key in KNOWN_BOUNDS else value
     if wrong:
         raise SettingsError("\n".join(f"{path}: {line}" for line in wrong))
     return found
@@ -77,6 +78,8 @@ def _where(key: str, names: Mapping[tuple[str, str], str], section: str = "") ->
     """Say what was perhaps meant."""
     if key in ENVIRONMENT_ONLY:
         return f"it is read from {setting_name(key)} only"
+    if section == "http":
+        return "limits of connections are no settings any more: remove the section"
     meant = {".".join(place) for place, name in names.items() if key in (place[1], name)}
     if not meant:
         every = [".".join(place) for place in names]

@@ -4,111 +4,67 @@ Monitoring is log format and level, certificate warning and readiness cache; lim
 numbers.
 """
 
-from dataclasses import dataclass, fields
+import os
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, SecretStr, StringConstraints, model_validator
-from pydantic_settings import BaseSettings
+from pydantic import Field, SecretStr, StringConstraints, field_validator, model_validator
+from pydantic_settings import NoDecode
 
 from engine.capture import CameraOptions
 from engine.core.signals import HeadDirection
 from service.core.settings.database_place import place_of
+from service.core.settings.names import Env, In, Section
 
 if TYPE_CHECKING:  # the engine's process does without SQLAlchemy
     from sqlalchemy import URL
 
-CONNECTION_BOUNDS = {
-    "header_s": (1.0, 60.0),
-    "body_s": (1.0, 600.0),
-    "keep_alive_s": (1.0, 300.0),
-    "write_s": (1.0, 600.0),
-    "handshake_s": (1.0, 60.0),
-    "max_connections": (64, 16_384),
-    "max_connections_per_address": (16, 16_384),
-    "max_header_bytes": (4_096, 65_536),
-    "max_headers": (16, 256),
-    "max_url_bytes": (1_024, 16_384),
-}
+MAX_NAME = 80
 SHORTEST_KEY_BYTES = 32
 LONGEST_KEY_BYTES = 4_096
 RoomName = Annotated[str, StringConstraints(max_length=32, pattern=r"^([A-Za-z0-9][A-Za-z0-9-]*)?$")]
 """1 to 32 letters, digits and dashes; empty is a room without a name."""
 ANCHOR_NAME = "audit-anchors.jsonl"
+FolderList = Annotated[tuple[Path, ...], NoDecode]
 LogFormat = Literal["text", "json"]
 LogLevel = Literal["debug", "info", "warning", "error"]
 
 
+def _bounded(value: float, what: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare a limit of every connection, with what it bounds."""
+    return field(default=value, metadata={"what": what})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionLimits:
-    """Limits of every connection.
+    """Limits of every connection: no site's settings, since what they bound is the same everywhere.
 
-    Attributes
-    ----------
-    header_s
-        From a connection's begin, or from a further request's first byte, to the end of its headers.
-    body_s
-        From the end of the headers to the end of the body.
-    keep_alive_s
-        Between an answer and the next request.
-    write_s
-        For which a client may leave what was sent to it unread.
-    handshake_s
-        For TLS.
-    max_connections, max_connections_per_address
-        Beyond them the connection goes that has been waited for longest: for a request, the rest of one, or for its
-        client to read; unauthenticated ones first. One with a request in progress is never closed for another.
+    A request's first time runs from the connection's begin, or from a further request's first byte. Beyond a number of
+    connections the one goes that has been waited for longest: for a request, the rest of one, or for its client to
+    read. One with a request in progress is never closed for another.
     """
 
-    header_s: float = 10.0
-    body_s: float = 30.0
-    keep_alive_s: float = 5.0
-    write_s: float = 20.0
-    handshake_s: float = 10.0
-    max_connections: int = 2048
-    max_connections_per_address: int = 512
-    max_header_bytes: int = 16_384
-    max_headers: int = 64
-    max_url_bytes: int = 4_096
-
-
-LIMIT_NAMES = tuple(one.name for one in fields(ConnectionLimits))
-
-
-# Settings of connections: time limits, sizes and numbers; see docs/3-operate/security.md.
-def _limit(name: str, description: str) -> Any:  # noqa: ANN401 - a field of any number's type
-    low, high = CONNECTION_BOUNDS[name]
-    return Field(default=getattr(ConnectionLimits(), name), ge=low, le=high, description=description)
-
-
-class ConnectionSettings(BaseSettings):
-    """Bounds of every connection."""
-
-    http_header_s: float = _limit("header_s", "A request's headers have to be complete within this time")
-    http_body_s: float = _limit("body_s", "A request's body has to be complete within this time behind its headers")
-    http_keep_alive_s: float = _limit("keep_alive_s", "A connection without a request is closed after this time")
-    http_write_s: float = _limit("write_s", "A client that reads nothing for this time is disconnected")
-    http_handshake_s: float = _limit("handshake_s", "The TLS handshake has to be complete within this time")
-    http_max_connections: int = _limit(
-        "max_connections",
+    header_s: float = _bounded(10.0, "A request's headers have to be complete within this time")
+    body_s: float = _bounded(30.0, "A request's body has to be complete within this time behind its headers")
+    keep_alive_s: float = _bounded(5.0, "A connection without a request is closed after this time")
+    write_s: float = _bounded(20.0, "A client that reads nothing for this time is disconnected")
+    handshake_s: float = _bounded(10.0, "The TLS handshake has to be complete within this time")
+    max_connections: int = _bounded(
+        2048,
         "Beyond this number the connection whose client was waited for longest is closed; unauthenticated ones first",
     )
-    http_max_connections_per_address: int = _limit(
-        "max_connections_per_address", "The same per address; trusted proxies are not limited"
-    )
-    http_max_header_bytes: int = _limit("max_header_bytes", "Size of a request's headers")
-    http_max_headers: int = _limit("max_headers", "Number of header lines of a request")
-    http_max_url_bytes: int = _limit("max_url_bytes", "Size of path and query")
-
-    @property
-    def connection_limits(self) -> ConnectionLimits:
-        """The limits as one value, for the web server."""
-        return ConnectionLimits(**{name: getattr(self, f"http_{name}") for name in LIMIT_NAMES})
+    max_connections_per_address: int = _bounded(512, "The same per address; trusted proxies are not limited")
+    max_header_bytes: int = _bounded(16_384, "Size of a request's headers")
+    max_headers: int = _bounded(64, "Number of header lines of a request")
+    max_url_bytes: int = _bounded(4_096, "Size of path and query")
 
 
 # Settings of RT Plans: their largest size, and the patient's reference.
-class PlanSettings(BaseSettings):
+class PlanSettings(Section):
     """Settings of RT Plans (docs/4-integrate/plans.md)."""
+
+    SECTION = "plans"
 
     max_plan_bytes: int = Field(
         default=8_388_608,
@@ -119,7 +75,7 @@ class PlanSettings(BaseSettings):
     plan_patient: Literal["id", "hash"] = Field(
         default="id", description="Patient reference of a plan: the Patient ID, or a keyed hash of it"
     )
-    plan_patient_key: Path | None = Field(
+    plan_patient_key: Env[Path | None] = Field(
         default=None, description="File of 32 bytes or more, the key of the hash; only with hash"
     )
 
@@ -149,30 +105,60 @@ class PlanSettings(BaseSettings):
 
 
 # Settings of the treatment room: its name, and how the camera's picture lies relative to the couch.
-class RoomSettings(BaseSettings):
+class RoomSettings(Section):
     """The room; see docs/2-clinical/motion.md."""
 
-    room: RoomName = Field(
+    SECTION = "site"
+
+    room: Env[RoomName] = Field(
         default="",
         description="The room's name, 1 to 32 letters, digits and dashes: on the page, in stream, metrics, log, audit, "
         "backups and the names of cookies",
     )
-    camera_uri: str = Field(
+    recordings_dirs: Env[FolderList] = Field(
+        default=(), description="Folders from which recordings may be opened, colon-separated"
+    )
+    recordings_may_gate: Env[bool] = Field(
+        default=False, description="A played recording may gate a real beam line: for test benches and phantoms only"
+    )
+    frame_path: Env[Literal["auto", "compiled", "numpy"]] = Field(
+        default="auto",
+        description="Form of the frame path: the compiled one where it is built, only that, or numpy's; the engine "
+        "reads it from the environment, also for commands such as `tidegate measure`",
+    )
+    site_name: Env[str] = Field(default="", max_length=MAX_NAME, description="On QA reports")
+    machine_name: Env[str] = Field(default="", max_length=MAX_NAME, description="On QA reports: accelerator or room")
+    camera_uri: Env[str] = Field(
         default="",
         max_length=255,
         description="The room's camera, as `GET /devices` names it or the beginning of that, e.g. 1d27/0609@1: "
         "sessions open no other one; default: the session's choice, the first one where it makes none",
     )
-    gantry_side: HeadDirection | None = Field(
+    gantry_side: Env[HeadDirection | None] = Field(
         default=None,
         description="Side of the camera's picture towards the gantry, where the head of a head-first patient lies: "
         "top, bottom, left or right. A session's head direction and a plan's Patient Position are compared with it",
     )
 
+    @field_validator("recordings_dirs", mode="before")
+    @classmethod
+    def _split_folders(cls, value: object) -> object:
+        return tuple(part for part in value.split(os.pathsep) if part) if isinstance(value, str) else value
+
+    @field_validator("site_name", "machine_name")
+    @classmethod
+    def _is_printable(cls, name: str) -> str:
+        if not name.isprintable():
+            msg = f"{name[:MAX_NAME]!r} must be printable characters"
+            raise ValueError(msg)
+        return name
+
 
 # Settings of the camera itself.
-class CameraSettings(BaseSettings):
+class CameraSettings(Section):
     """How the room's camera is set, and how long it runs; see docs/3-operate/cameras.md."""
+
+    SECTION = "camera"
 
     warm_up_min: float | None = Field(
         default=None,
@@ -213,10 +199,12 @@ class CameraSettings(BaseSettings):
 
 
 # Settings of raw recordings.
-class ReplaySettings(BaseSettings):
+class ReplaySettings(Section):
     """Raw recordings of sessions on a camera; see docs/3-operate/replay.md."""
 
-    record_raw: bool = Field(
+    SECTION = "storage"
+
+    record_raw: Env[bool] = Field(
         default=False, description="Record every frame of a live camera, so that the session can be replayed"
     )
     raw_min_free_mb: float = Field(
@@ -227,22 +215,12 @@ class ReplaySettings(BaseSettings):
     )
 
 
-# Settings of the HTTP contract.
-class ContractSettings(BaseSettings):
-    """Lifetime of Idempotency-Keys."""
-
-    idempotency_days: float = Field(
-        default=7.0,
-        ge=1.0,
-        le=365.0,
-        description="Lifetime of an Idempotency-Key; after it the key is treated as new",
-    )
-
-
-class StreamSettings(BaseSettings):
+class StreamSettings(Section):
     """Limits of the live stream's clients; see docs/4-integrate/stream.md."""
 
-    max_live_clients: int = Field(
+    SECTION = "web"
+
+    max_live_clients: Env[int] = Field(
         default=256, ge=1, le=1024, description="Maximum number of clients, WebSockets and event streams together"
     )
     live_stall_s: float = Field(
@@ -256,11 +234,14 @@ class StreamSettings(BaseSettings):
     )
 
 
-class AuditSettings(BaseSettings):
+class AuditSettings(Section):
     """Settings of the audit; a part of :class:`service.core.settings.settings.Settings`."""
 
-    data_dir: Path = Path("data")
-    audit_anchor_file: Path | None = Field(
+    SECTION = "audit"
+    KEY_PREFIX = "audit_"
+
+    data_dir: Annotated[Env[Path], In("storage")] = Path("data")
+    audit_anchor_file: Env[Path | None] = Field(
         default=None,
         description="File of the audit's anchors, best on another machine's share; default: audit-anchors.jsonl in the "
         "data folder",
@@ -274,7 +255,7 @@ class AuditSettings(BaseSettings):
         le=60_000.0,
         description="Change of the wall clock against the monotonic clock beyond which the audit records it as set",
     )
-    audit_log_dir: Path | None = Field(
+    audit_log_dir: Env[Path | None] = Field(
         default=None, description="Audit rows also as JSON lines in this folder, for the site's log collector"
     )
     audit_log_max_mb: int = Field(
@@ -289,37 +270,38 @@ class AuditSettings(BaseSettings):
         return self.audit_anchor_file or self.data_dir / ANCHOR_NAME
 
 
-class MonitoringSettings(BaseSettings):
+class MonitoringSettings(Section):
     """Log and readiness; see docs/3-operate/monitoring.md."""
 
-    log_format: LogFormat = Field(
+    SECTION = "site"
+
+    log_format: Env[LogFormat] = Field(
         default="text", description="text for a terminal, json for a collector: one object per line"
     )
-    log_level: LogLevel = Field(
+    log_level: Env[LogLevel] = Field(
         default="warning",
         description="Lowest level of Tidegate's log records; info has one line per request. Libraries"
         " log from warning on",
     )
-    certificate_warn_days: int = Field(
-        default=30, ge=1, le=365, description="`/readyz` warns this long before the TLS certificate expires"
-    )
-    readiness_keep_ms: float = Field(
+    readiness_keep_ms: Annotated[float, In("web")] = Field(
         default=1_000.0, ge=0.0, le=10_000.0, description="Time for which an answer of `/readyz` is cached"
     )
 
 
 # Which database a site uses: the part of the settings that begins with ``database_``.
-class DatabaseSettings(BaseSettings):
+class DatabaseSettings(Section):
     """The settings of the database; a part of :class:`service.core.settings.settings.Settings`."""
 
-    data_dir: Path = Path("data")
-    database_url: SecretStr | None = Field(
+    SECTION = "storage"
+
+    data_dir: Env[Path] = Path("data")
+    database_url: Env[SecretStr | None] = Field(
         default=None,
         min_length=1,
         max_length=2048,
         description="postgresql://USER@HOST/DATABASE; the SQLite file tidegate.db in the data folder when left out",
     )
-    database_password_file: Path | None = Field(
+    database_password_file: Env[Path | None] = Field(
         default=None, description="File that holds the password of database_url, in one line"
     )
 
@@ -334,9 +316,16 @@ class DatabaseSettings(BaseSettings):
         return place_of(self.database_url, self.database_password_file, self.data_dir)
 
 
-class StorageSettings(BaseSettings):
+class StorageSettings(Section):
     """Retention, quota, and free space for a new session."""
 
+    SECTION = "storage"
+
+    min_free_disk_mb: Env[float] = Field(default=200.0, ge=0.0, le=1_000_000.0)
+    journal_dir: Env[Path | None] = Field(
+        default=None, description="Folder of the journals of transitions; default: in memory"
+    )
+    sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
     retain_samples_days: int = Field(
         default=0, ge=0, le=36_500, description="Samples of sessions that ended longer ago are removed; 0 keeps them"
     )

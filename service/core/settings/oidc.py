@@ -10,11 +10,11 @@ from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode
+from pydantic_settings import NoDecode
 
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from service.core.settings.access import is_loopback
-from service.core.settings.names import setting_name
+from service.core.settings.names import Env, Section, setting_name
 
 RETURN_PATH = "/api/v1/login/oidc/return"
 MAX_ADDRESS = 500
@@ -30,18 +30,23 @@ PEOPLE = ("oidc_client_id", "oidc_redirect_uri", "oidc_group_roles")
 MACHINES = ("oidc_machine_audience", "oidc_machine_scopes")
 
 
-class OidcSettings(BaseSettings):
+class OidcSettings(Section):
     """Settings of the provider; a part of :class:`service.core.settings.settings.Settings`."""
 
-    oidc_issuer: str = Field(
+    SECTION = "oidc"
+    KEY_PREFIX = "oidc_"
+
+    oidc_issuer: Env[str] = Field(
         default="", max_length=MAX_ADDRESS, description="The provider, exactly as in its tokens' iss"
     )
-    oidc_client_id: str = Field(default="", max_length=MAX_WORD, description="This service's client id at the provider")
-    oidc_client_secret_file: Path | None = Field(
+    oidc_client_id: Env[str] = Field(
+        default="", max_length=MAX_WORD, description="This service's client id at the provider"
+    )
+    oidc_client_secret_file: Env[Path | None] = Field(
         default=None, description="A file with the client secret; without it the client is public (PKCE)"
     )
-    oidc_ca_file: Path | None = Field(default=None, description="CA certificates (PEM) for the provider")
-    oidc_redirect_uri: str = Field(
+    oidc_ca_file: Env[Path | None] = Field(default=None, description="CA certificates (PEM) for the provider")
+    oidc_redirect_uri: Env[str] = Field(
         default="", max_length=MAX_ADDRESS, description=f"Redirect URI: https://NAME{RETURN_PATH}"
     )
     oidc_scopes: Words = Field(default=("openid", "profile"), max_length=20, description="Comma-separated")

@@ -1,49 +1,38 @@
-"""Settings of QA: bounds of every check, maximum age of the daily QA, and names on reports.
+"""Settings of QA: bounds of every check, and maximum age of the daily QA and of a latency measurement."""
 
-The fields of the bounds are generated from the engine's table of checks, two per check.
-"""
+from typing import Annotated, Self
 
-from typing import TYPE_CHECKING, Any, Self
+from pydantic import Field, model_validator
 
-from pydantic import Field, create_model, field_validator, model_validator
-from pydantic_settings import BaseSettings
-
+from engine.core.errors import InvalidValueError
 from engine.qa import CHECKS, QaBound, QaBounds, QaCheck
-from service.core.settings.names import setting_name
+from service.core.settings.names import Env, Section
 
+CHOSEN = "qa_bounds_chosen"
+"""The setting that holds the bounds of checks."""
 LONGEST_DAILY_H = 744.0
 SHORTEST_LATENCY_DAYS, LONGEST_LATENCY_DAYS = 1.0, 1100.0
-MAX_NAME = 80
 
 
 def setting_of(code: str, bound: str) -> str:
-    """Return the name of the setting of a check's ``warn`` or ``fail``."""
-    return f"qa_{code}_{bound}"
+    """Return the name of the setting of a check's ``warn`` or ``fail``: its key in the section."""
+    return f"{code}_{bound}"
 
 
-def _bound(check: QaCheck, bound: str) -> tuple[type[float], Any]:
-    words = f"{check.title}: {'warns' if bound == 'warn' else 'fails'} beyond" + (f" [{check.unit}]" * bool(check.unit))
-    return (float, Field(default=getattr(check, bound), ge=0.0, le=check.most, description=words))
+KNOWN_BOUNDS = {setting_of(check.code, bound) for check in CHECKS for bound in ("warn", "fail")}
 
 
-if TYPE_CHECKING:
-    _CheckBounds = BaseSettings
-else:
-    _CheckBounds = create_model(
-        "_CheckBounds",
-        __base__=BaseSettings,
-        **{
-            setting_of(check.code, bound): _bound(check, bound)  # in the order of the table
-            for check in CHECKS
-            for bound in ("warn", "fail")
-        },
-    )
-
-
-class QaSettings(_CheckBounds):
+class QaSettings(Section):
     """Settings of QA; a part of :class:`service.core.settings.settings.Settings`."""
 
-    qa_required_daily_h: float = Field(
+    SECTION = "qa"
+    KEY_PREFIX = "qa_"
+
+    qa_bounds_chosen: dict[str, Annotated[float, Field(ge=0.0)]] = Field(
+        default={},
+        description="Bounds of checks that the site chooses: CODE_warn and CODE_fail, each a key of the section qa",
+    )
+    qa_required_daily_h: Env[float] = Field(
         default=0.0,
         ge=0.0,
         le=LONGEST_DAILY_H,
@@ -55,32 +44,27 @@ class QaSettings(_CheckBounds):
         le=LONGEST_LATENCY_DAYS,
         description="Clinical mode: longest time since the latency of the session's camera was measured",
     )
-    site_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports")
-    machine_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports: accelerator or room")
-
-    @field_validator("site_name", "machine_name")
-    @classmethod
-    def _is_printable(cls, name: str) -> str:
-        if not name.isprintable():
-            msg = f"{name[:MAX_NAME]!r} must be printable characters"
-            raise ValueError(msg)
-        return name
 
     @model_validator(mode="after")
-    def _warn_is_below_fail(self) -> Self:
-        for check in CHECKS:
-            warn, fail = self._bound_of(check)
-            if warn > fail:
-                name, other = (setting_name(setting_of(check.code, bound)) for bound in ("warn", "fail"))
-                msg = f"{name} is {warn:g}: must be at most {other} ({fail:g})"
-                raise ValueError(msg)
+    def _bounds_are_possible(self) -> Self:
+        unknown = self.qa_bounds_chosen.keys() - KNOWN_BOUNDS
+        if unknown:
+            msg = f"qa.{min(unknown)} is not a setting of Tidegate; mistyped?"
+            raise ValueError(msg)
+        try:
+            _ = self.qa_bounds
+        except InvalidValueError as error:
+            msg = f"qa.{error.field} is {error.value}: must be {error.bound}"
+            raise ValueError(msg.replace(".warn", "_warn").replace(".fail", "_fail")) from error
         return self
 
     @property
     def qa_bounds(self) -> QaBounds:
         """Bounds of every check."""
-        bounds = {check.code: self._bound_of(check) for check in CHECKS}
-        return QaBounds(chosen={code: QaBound(warn=warn, fail=fail) for code, (warn, fail) in bounds.items()})
+        chosen = self.qa_bounds_chosen
 
-    def _bound_of(self, check: QaCheck) -> tuple[float, float]:
-        return getattr(self, setting_of(check.code, "warn")), getattr(self, setting_of(check.code, "fail"))
+        def of(check: QaCheck) -> QaBound:
+            warn, fail = (chosen.get(setting_of(check.code, one), getattr(check, one)) for one in ("warn", "fail"))
+            return QaBound(warn=warn, fail=fail)
+
+        return QaBounds(chosen={check.code: of(check) for check in CHECKS})

@@ -9,7 +9,7 @@ import dataclasses
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
@@ -32,8 +32,6 @@ from service.core.settings.config_file import SettingsError, config_path, read_c
 from service.core.settings.groups import (
     AuditSettings,
     CameraSettings,
-    ConnectionSettings,
-    ContractSettings,
     DatabaseSettings,
     MonitoringSettings,
     PlanSettings,
@@ -42,9 +40,9 @@ from service.core.settings.groups import (
     StorageSettings,
     StreamSettings,
 )
-from service.core.settings.names import OVERRIDES, PREFIX, setting_name
+from service.core.settings.names import OVERRIDES, PREFIX, Env, Section, setting_name
 from service.core.settings.oidc import OidcSettings
-from service.core.settings.qa import QaSettings
+from service.core.settings.qa import CHOSEN, QaSettings
 
 __all__ = ["Settings", "SettingsError", "load_settings", "sources"]
 
@@ -55,9 +53,7 @@ SHORTEST_OPERATOR_TIMEOUT_S = 3.0
 """A page reports presence every second; this allows for two reports that are late."""
 
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
-FolderList = Annotated[tuple[Path, ...], NoDecode]
 EventList = Annotated[tuple[BreathEventKind, ...], NoDecode]
-NameList = Annotated[tuple[str, ...], NoDecode]
 
 
 def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
@@ -78,6 +74,43 @@ def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
     return Field(default=getattr(PatientMatchLimits(), name), ge=low, le=high)
 
 
+class TrainingGroup(Section):
+    """How a motion model is learned."""
+
+    SECTION = "training"
+    KEY_PREFIX = "training_"
+
+    training_min_frames: int = _training("min_frames")
+    training_min_cycles: int = _training("min_cycles")
+    training_min_seconds: float = _training("min_seconds")
+    training_max_seconds: float = _training("max_seconds")
+    training_max_frames: int = _training("max_frames")
+    training_components: int = _training("components")
+    training_min_amplitude_mm: float = _training("min_amplitude_mm")
+    training_max_shift_mm: float = _training("max_shift_mm")
+    training_max_tilt_deg: float = _training("max_tilt_deg")
+    training_max_outlier_share: float = _training("max_outlier_share")
+    training_max_carry_mm: float = _training("max_carry_mm")
+    training_refit_until_s: float = _training("refit_until_s")
+    retrain_interval_min: float = Field(
+        default=0.0, ge=0.0, le=240.0, description="Interval of learning a new model during a session; 0 is never"
+    )
+
+
+class MatchGroup(Section):
+    """How a stored model is compared with the patient."""
+
+    SECTION = "match"
+    KEY_PREFIX = "likeness_"
+
+    likeness_seconds: float = _likeness("seconds")
+    likeness_max_shift_mm: float = _likeness("max_shift_mm")
+    likeness_max_tilt_deg: float = _likeness("max_tilt_deg")
+    likeness_max_shape_mm: float = _likeness("max_shape_mm")
+    likeness_max_residual_mm: float = _likeness("max_residual_mm")
+    likeness_min_explained_share: float = _likeness("min_explained_share")
+
+
 class Settings(
     BeamSettings,
     QaSettings,
@@ -86,16 +119,18 @@ class Settings(
     AccessSettings,
     StorageSettings,
     OidcSettings,
-    ContractSettings,
     ReplaySettings,
     StreamSettings,
     PlanSettings,
-    ConnectionSettings,
     MonitoringSettings,
     RoomSettings,
     CameraSettings,
+    TrainingGroup,
+    MatchGroup,
 ):
     """The site's settings."""
+
+    SECTION, KEY_PREFIX = "gate", ""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
@@ -117,45 +152,18 @@ class Settings(
         given = read_config(path, {name: field.annotation for name, field in cls.model_fields.items()})
         return init_settings, env_settings, InitSettingsSource(settings_cls, given)
 
-    port: int = Field(default=8000, ge=0, le=65535)
-    allowed_hosts: NameList = Field(
-        default=(), description="Names accepted in the Host header; default: loopback names"
-    )
-    allowed_origins: NameList = Field(default=(), description="Origins of other pages that may open the live stream")
-
-    recordings_dirs: FolderList = Field(
-        default=(), description="Folders from which recordings may be opened, colon-separated"
-    )
-
-    recordings_may_gate: bool = Field(
-        default=False, description="A played recording may gate a real beam line: for test benches and phantoms only"
-    )
     allow_device_registration: bool = Field(
         default=True, description="Sessions without a calibration use the camera's own registration: research only"
     )
 
-    frame_path: Literal["auto", "compiled", "numpy"] = Field(
-        default="auto",
-        description="Form of the frame path: the compiled one where it is built, only that, or numpy's; the engine "
-        "reads it from the environment, also for commands such as `tidegate measure`",
-    )
-
-    max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
-    command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
-    min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
-
-    journal_dir: Path | None = Field(
-        default=None, description="Folder of the journals of transitions; default: in memory"
-    )
-    sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
     min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="Shortest dwell of a session")
     min_good_frames: int = _limit("min_good_frames")
-    lease_ms: float = _limit("lease_ms")
-    max_frame_age_ms: float = _limit("max_frame_age_ms")
-    max_gap_ms: float = _limit("max_gap_ms")
-    max_lag_ms: float = _limit("max_lag_ms")
-    max_silence_ms: float = _limit("max_silence_ms")
-    watchdog_ms: float = _limit("watchdog_ms")
+    lease_ms: Env[float] = _limit("lease_ms")
+    max_frame_age_ms: Env[float] = _limit("max_frame_age_ms")
+    max_gap_ms: Env[float] = _limit("max_gap_ms")
+    max_lag_ms: Env[float] = _limit("max_lag_ms")
+    max_silence_ms: Env[float] = _limit("max_silence_ms")
+    watchdog_ms: Env[float] = _limit("watchdog_ms")
     min_valid_share: float = _limit("min_valid_share")
     min_inlier_share: float = _limit("min_inlier_share")
     min_signal_share: float = _limit("min_signal_share")
@@ -186,18 +194,18 @@ class Settings(
         "1 to 2 on tattoos",
     )
     warn_latency_ms: float = _limit("warn_latency_ms")
-    max_latency_ms: float = _limit("max_latency_ms")
-    camera_latency_ms: float = _limit("camera_latency_ms")
+    max_latency_ms: Env[float] = _limit("max_latency_ms")
+    camera_latency_ms: Env[float] = _limit("camera_latency_ms")
     max_model_age_min: float = _limit("max_model_age_min")
     max_unwritten_ms: float = _limit("max_unwritten_ms")
     max_service_silence_ms: float = _limit("max_service_silence_ms")
-    operator_timeout_s: float = _limit("operator_timeout_s")
+    operator_timeout_s: Env[float] = _limit("operator_timeout_s")
     min_breaths_per_min: float = _limit("min_breaths_per_min")
     max_breaths_per_min: float = _limit("max_breaths_per_min")
     beam_without_calibration: bool = Field(
         default=True, description="A session on the camera's own registration may be armed: research only"
     )
-    checks_may_be_missing: bool = Field(
+    checks_may_be_missing: Env[bool] = Field(
         default=True,
         description="The beam may be on where a check of the measurement (surface, color, camera) has not worked since "
         "the reference was set; research only. One that worked and cannot any more always holds",
@@ -207,7 +215,7 @@ class Settings(
         description="A second person countersigns reference and window before a fraction's first arming, and another "
         "window for a patient needs a reason; by default in clinical mode only",
     )
-    holding_events: EventList = Field(
+    holding_events: Env[EventList] = Field(
         default=tuple(sorted(BREATHING_CEASED)),
         description="Breathing events that hold the beam, comma-separated; see docs/2-clinical/breathing.md",
     )
@@ -239,34 +247,7 @@ class Settings(
     window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="Lowest edge of a session's window")
     window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="Highest edge of a session's window")
 
-    training_min_frames: int = _training("min_frames")
-    training_min_cycles: int = _training("min_cycles")
-    training_min_seconds: float = _training("min_seconds")
-    training_max_seconds: float = _training("max_seconds")
-    training_max_frames: int = _training("max_frames")
-    training_components: int = _training("components")
-    training_min_amplitude_mm: float = _training("min_amplitude_mm")
-    training_max_shift_mm: float = _training("max_shift_mm")
-    training_max_tilt_deg: float = _training("max_tilt_deg")
-    training_max_outlier_share: float = _training("max_outlier_share")
-    training_max_carry_mm: float = _training("max_carry_mm")
-    training_refit_until_s: float = _training("refit_until_s")
-    retrain_interval_min: float = Field(
-        default=0.0, ge=0.0, le=240.0, description="Interval of learning a new model during a session; 0 is never"
-    )
-    likeness_seconds: float = _likeness("seconds")
-    likeness_max_shift_mm: float = _likeness("max_shift_mm")
-    likeness_max_tilt_deg: float = _likeness("max_tilt_deg")
-    likeness_max_shape_mm: float = _likeness("max_shape_mm")
-    likeness_max_residual_mm: float = _likeness("max_residual_mm")
-    likeness_min_explained_share: float = _likeness("min_explained_share")
-
-    @field_validator("recordings_dirs", mode="before")
-    @classmethod
-    def _split_folders(cls, value: object) -> object:
-        return tuple(part for part in value.split(os.pathsep) if part) if isinstance(value, str) else value
-
-    @field_validator("allowed_hosts", "allowed_origins", "holding_events", mode="before")
+    @field_validator("holding_events", mode="before")
     @classmethod
     def _split_names(cls, value: object) -> object:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
@@ -417,5 +398,7 @@ def _refuse_unknown(names: Iterable[str]) -> None:
 
 
 def _line(location: tuple[int | str, ...], message: str) -> str:
-    name = f"{setting_name(str(location[0]))}: " if location else ""
-    return f"{name}{message.removeprefix('Value error, ')}"
+    """Name the setting of an error; a chosen bound of QA by its own key."""
+    name = ".".join(("qa", *map(str, location[1:]))) if location[:1] == (CHOSEN,) else ""
+    name = name or (setting_name(str(location[0])) if location else "")
+    return f"{name}: {message.removeprefix('Value error, ')}".removeprefix(": ")

@@ -18,8 +18,7 @@ from engine.core.commands import Arm, Disarm, HoldBeam
 from engine.core.errors import BeamLineError, FrameTimeoutError, SourceAwayError, SourceLostError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Gate, Interruption, lease_of
-from engine.gating.interlocks import DecisionInputs
-from engine.gating.supervision.operator_presence import MOST_PERSONS, OperatorPresence
+from engine.gating.interlocks import MOST_PERSONS, DecisionInputs, OperatorPresence
 from tests.support.control.armed_bench import ON, ON_AT, on_bench
 from tests.support.control.loop_bench import (
     ScriptedSource,

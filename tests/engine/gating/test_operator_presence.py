@@ -6,7 +6,7 @@ import pytest
 
 from engine.core.clock import ManualClock
 from engine.core.gate_state import GateState
-from engine.gating.supervision.operator_presence import MOST_PERSONS, OperatorPresence
+from engine.gating.interlocks import MOST_PERSONS, OperatorPresence
 from tests.support.gating.streams import stream_in
 
 GATE = replace(stream_in(GateState.BEAM_ON).gate, armed_by="ann")

@@ -20,8 +20,7 @@ from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_
 from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
 from engine.motion.learning.past_frames import mean_depth_mm
-from engine.motion.learning.prepared_model import prepare_model
-from engine.motion.learning.seen_shares import prepare_seen_weights
+from engine.motion.learning.prepared_model import prepare_model, prepare_seen_weights
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
 from engine.motion.stages.phase_lag import _correlations

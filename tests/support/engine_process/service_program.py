@@ -34,7 +34,7 @@ def main() -> None:
     settings = Settings(data_dir=Path(data), recordings_dirs=(recordings,), port=int(port), **PATIENT)
     with contextlib.suppress(KeyboardInterrupt):
         app = create_app(settings, ProcessEngine)
-        make_server(app, host=settings.host, port=settings.port, connection_limits=settings.connection_limits).run()
+        make_server(app, host=settings.host, port=settings.port).run()
 
 
 if __name__ == "__main__":

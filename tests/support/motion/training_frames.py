@@ -104,12 +104,12 @@ class Patient:
         """Offer the next frame; returns motion of every region [mm], with the volume [l] last, or None."""
         seen = frame(self.index, **surface)
         self.index += 1
-        self.learner.collect(seen.timestamp_us)
+        self.learner.begin_frame(seen.timestamp_us)
         if self.learner.models.is_gathering:
             self.learner.models.learn(seen)
         motion = self.measured(seen)
         if motion is not None or self.learner.active is None:
-            self.learner.keep(seen)
+            self.learner.keep(seen.timestamp_us, lambda: seen)
         self.notices += self.learner.take_notices()
         return motion
 
@@ -120,7 +120,7 @@ class Patient:
             return None
         surface = vertices(seen.nodes_px, active.node_depth_mm(best.coefficients))
         shares = active.seen_weights.shares(best.is_seen)
-        zero = self.learner.take_up_reference(active, lambda: active.reference(best.coefficients, surface, shares))
+        zero, _ = self.learner.reference.take_up(active, lambda: active.reference(best.coefficients, surface, shares))
         return np.append(
             zero.regions_mm - active.regions.model_depth_mm(best.coefficients), zero.volume_above_l(surface)
         )

@@ -61,7 +61,6 @@ def main() -> None:
             host=settings.host,
             port=settings.port,
             certificate=app.state.certificate,
-            connection_limits=settings.connection_limits,
             trusted_proxies=LOOPBACK if settings.behind_proxy else (),
         ).run()
 

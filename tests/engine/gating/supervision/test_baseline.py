@@ -10,7 +10,7 @@ from engine.core.commands import Arm
 from engine.core.frames import BodyPosition, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Gate, step_gate
-from engine.gating.supervision.baseline import Baseline
+from engine.gating.supervision.patient_shift import Baseline
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
 from engine.motion.breathing import follow_breathing, start_breathing
 from tests.support.gating.streams import LIMITS, PERIOD_US, measured, motion_of, unmeasured

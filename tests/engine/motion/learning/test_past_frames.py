@@ -255,12 +255,12 @@ def test_a_second_without_a_frame_and_a_step_back_of_the_devices_clock_are_gaps(
 def test_only_a_first_fit_looks_for_breaths():
     patient = Patient(FEW)
     patient.learn()
-    assert patient.learner.positions.levels_from is not None
-    patient.learner.positions.move_levels(*_still(patient))
+    assert patient.learner.reference.levels_from is not None
+    patient.learner.reference.move_levels(*_still(patient))
     patient.learner.retrain(keeps_reference=False)
     generation = patient.learner.journal.generation
     patient.see_until(lambda: patient.learner.journal.generation != generation)
-    assert patient.learner.positions.levels_from is None
+    assert patient.learner.reference.levels_from is None
 
 
 def _still(patient):

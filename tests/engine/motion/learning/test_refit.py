@@ -42,7 +42,7 @@ def test_a_model_is_refitted_each_time_the_stretch_has_doubled_and_no_more_frame
     assert refits_s == pytest.approx([GROWTH * first_s, GROWTH**2 * first_s], rel=0.1)
     assert patient.learner.active.model.seconds == pytest.approx(refits_s[-1], abs=0.2)
     assert refits_s[-1] * GROWTH > UNTIL_S
-    assert not patient.learner.is_kept(patient.index * FRAME_US)
+    assert not patient.learner.needs(patient.index * FRAME_US).is_fine
     assert not patient.learner.refits._refits._stretch.longest.frames
 
 
@@ -50,7 +50,7 @@ def test_without_refits_no_frame_is_kept():
     patient = learned(FEW)
     see_for(patient, 30.0)
     assert len(patient.reported(LearningEventKind.SWAPPED)) == 1
-    assert not patient.learner.is_kept(patient.index * FRAME_US)
+    assert not patient.learner.needs(patient.index * FRAME_US).is_fine
 
 
 def test_a_refit_steps_no_region_of_a_steady_surface():
@@ -104,7 +104,7 @@ def test_a_gate_that_stays_armed_costs_no_more_frames_than_the_longest_refit():
     patient = learned()
     patient.learner.keep_model(is_kept=True)
     see_for(patient, 1.25 * UNTIL_S)
-    assert not patient.learner.is_kept(patient.index * FRAME_US)
+    assert not patient.learner.needs(patient.index * FRAME_US).is_fine
     assert not patient.learner.refits._refits._stretch.longest.frames
     patient.learner.keep_model(is_kept=False)
     see_for(patient, 1.0)
@@ -179,7 +179,7 @@ def test_a_stored_model_is_used_as_it_is():
     resumed.learner.models.resume(model)
     see_for(resumed, 30.0)
     assert resumed.learner.active.model is model
-    assert not resumed.learner.is_kept(resumed.index * FRAME_US)
+    assert not resumed.learner.needs(resumed.index * FRAME_US).is_fine
 
 
 def test_a_refused_refit_leaves_the_model_and_the_next_waits_for_twice_the_stretch():

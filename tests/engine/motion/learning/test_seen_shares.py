@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from engine.core.breath import SignalChoice
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, SeenShares
 from engine.core.signals import seen_share_of
-from engine.motion.learning.seen_shares import prepare_seen_weights
+from engine.motion.learning.prepared_model import prepare_seen_weights
 from engine.motion.named_regions import NamedRegion
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX
 from engine.motion.stages.regions import RegionLayout, grid_shape, region_values

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from service.cli import app
 from service.core.settings.config_file import ENVIRONMENT_ONLY
 from service.core.settings.names import CONFIG, OVERRIDES, PREFIX, place_of, setting_name
+from service.core.settings.qa import CHOSEN
 from service.core.settings.settings import Settings, SettingsError, load_settings
 
 MOST_OVERRIDES = 60
@@ -59,6 +60,7 @@ def test_the_file_s_values_are_the_settings_and_a_variable_counts_more(site, mon
     [
         ("[gate]\nmax_gpa_ms = 3", r"gate.max_gpa_ms is not a setting of Tidegate: perhaps gate.max_gap_ms"),
         ("[gate]\nport = 3", "gate.port is not a setting of Tidegate: perhaps web.port"),
+        ("[http]\nheader_s = 10", "http.header_s .*: limits of connections are no settings any more: remove"),
         ("[gaet]\nmax_jump_mm = 3", "gaet.max_jump_mm is not a setting of Tidegate: perhaps gate.max_jump_mm"),
         ("port = 3", "port stands outside a section: perhaps web.port"),
         ("[site]\nframe_path = 'numpy'", "site.frame_path .*: it is read from TIDEGATE_FRAME_PATH only"),
@@ -107,11 +109,11 @@ def shown(*arguments):
 
 
 def test_every_setting_is_shown_with_its_source_and_the_text_is_such_a_file(site, monkeypatch, tmp_path):
-    path = site("[gate]\nmax_jump_mm = 5\n[beam]\nline = 'simulated'")
+    path = site("[gate]\nmax_jump_mm = 5\n[beam]\nline = 'simulated'\n[qa]\nplate_noise_mm_warn = 1.25")
     monkeypatch.setenv("TIDEGATE_LEASE_MS", "90")
     code, text, _ = shown("--data", str(tmp_path))
     assert code == 0
-    for name in set(Settings.model_fields) - ENVIRONMENT_ONLY:
+    for name in set(Settings.model_fields) - ENVIRONMENT_ONLY - {CHOSEN}:
         section, key = place_of(name)
         part = text.partition(f"[{section}]\n")[2].partition("\n[")[0]
         assert any(line.removeprefix("# ").startswith(f"{key} ") for line in part.splitlines()), name
@@ -122,7 +124,7 @@ def test_every_setting_is_shown_with_its_source_and_the_text_is_such_a_file(site
         "command line",
     )
     again = tomllib.loads(text)
-    assert again["gate"] == {"lease_ms": 90.0, "max_jump_mm": 5.0}
+    assert (again["gate"], again["qa"]) == ({"lease_ms": 90.0, "max_jump_mm": 5.0}, {"plate_noise_mm_warn": 1.25})
     site(text)
     monkeypatch.delenv("TIDEGATE_LEASE_MS")
     assert load_settings(data_dir=tmp_path).lease_ms == 90.0

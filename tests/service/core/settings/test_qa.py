@@ -3,7 +3,6 @@
 import pytest
 
 from engine.qa.checks import CHECKS
-from service.core.settings.qa import setting_of
 from service.core.settings.settings import SettingsError, load_settings
 from tests.support.site_settings import give_settings
 
@@ -27,7 +26,7 @@ def test_a_site_chooses_both_bounds_of_every_check(monkeypatch, tmp_path, check)
     give_settings(
         monkeypatch,
         tmp_path,
-        **{setting_of(check.code, "warn"): check.most / 4, setting_of(check.code, "fail"): check.most / 2},
+        **{f"qa_{check.code}_warn": check.most / 4, f"qa_{check.code}_fail": check.most / 2},
     )
     bound = load_settings().qa_bounds.of(check.code)
     assert (bound.warn, bound.fail) == pytest.approx((check.most / 4, check.most / 2))
@@ -39,14 +38,14 @@ def test_a_bound_beyond_what_the_check_allows_is_refused_by_name(what, subtests,
         value = {"too wide": str(check.most * 1.01 + 0.01), "negative": "-0.1"}.get(what, what)
         with subtests.test(variable(check, bound)), pytest.MonkeyPatch.context() as environment:
             folder = tmp_path / variable(check, bound)
-            give_settings(environment, folder, **{setting_of(check.code, bound): value})
+            give_settings(environment, folder, **{f"qa_{check.code}_{bound}": value})
             with pytest.raises(SettingsError, match=variable(check, bound)):
                 load_settings()
 
 
 def test_a_warning_that_comes_after_the_failure_is_refused_by_both_names(monkeypatch, tmp_path):
     give_settings(monkeypatch, tmp_path, qa_camera_distance_mm_warn=2, qa_camera_distance_mm_fail=1.5)
-    with pytest.raises(SettingsError, match=r"qa.camera_distance_mm_warn is 2: must be at most .*_fail \(1.5\)"):
+    with pytest.raises(SettingsError, match=r"qa.camera_distance_mm_warn is 2.0: must be at most .*_fail \(1.5\)"):
         load_settings()
 
 

@@ -4,8 +4,7 @@ import logging
 
 import pytest
 
-from service.core.settings.groups import CONNECTION_BOUNDS, LIMIT_NAMES, ConnectionLimits, ConnectionSettings
-from service.core.settings.settings import Settings
+from service.core.settings.groups import ConnectionLimits
 from service.web.connections.refusals import LOG_PERIOD_S, RefusalCount
 from service.web.connections.registry import ConnectionRegistry
 
@@ -134,14 +133,3 @@ def test_refusals_are_reported_at_once_and_then_together(caplog):
         count.log_counts()
     assert caplog.messages == ["connections refused: 1 bad_request", "connections refused: 49 bad_request"]
     assert count.total["bad_request"] == 50
-
-
-@pytest.mark.parametrize("name", LIMIT_NAMES)
-def test_every_limit_is_a_setting_within_its_bounds(name, tmp_path):
-    low, high = CONNECTION_BOUNDS[name]
-    assert low <= getattr(ConnectionLimits(), name) <= high
-    assert getattr(Settings(data_dir=tmp_path, **{f"http_{name}": low}).connection_limits, name) == low
-    for beyond in (low - 1, high + 1):
-        with pytest.raises(ValueError, match=f"http_{name}"):
-            Settings(data_dir=tmp_path, **{f"http_{name}": beyond})
-    assert f"http_{name}" in ConnectionSettings.model_fields
