@@ -21,15 +21,18 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from lab.performance.session import EndlessSource, Recording
+from tests.documentation.walks import PAGE, STEP, pictures, steps_of, walks
 from tests.support.control.loop_bench import drained
+from tests.support.repository import ROOT
 
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "1-start" / "architecture.md"
-WALK = re.compile(r"<!-- walk: (.+?) -->\n(.*?)<!-- end -->", re.DOTALL)
-STEP = re.compile(r"^(\d+)\. `([\w/]+\.py)` `(\w+)`: .+$")
 HELPERS = re.compile(r"<!-- helpers: a frame -->\n(.*?)<!-- end -->", re.DOTALL)
 FRAMES = 5
-WALKS = dict(WALK.findall(PAGE.read_text(encoding="utf-8")))
+WALKS = walks()
+
+
+@pytest.mark.parametrize("path", pictures(), ids=lambda path: path.stem)
+def test_each_picture_is_the_page_s_walk(path):
+    assert path.read_text(encoding="utf-8") == pictures()[path]
 
 
 def functions_of(path: Path) -> set[str]:
@@ -58,8 +61,7 @@ def test_every_step_names_a_file_and_a_function_that_exist(name):
 
 def named_files() -> set[str]:
     """All files that the walk of a frame names, steps and helpers."""
-    steps = {path for _, path, _ in STEP.findall("\n".join(WALKS["a frame"].splitlines())) if path}
-    steps |= {match[2] for line in WALKS["a frame"].splitlines() if (match := STEP.fullmatch(line))}
+    steps = {path for path, _ in steps_of(WALKS["a frame"])}
     helpers = HELPERS.search(PAGE.read_text(encoding="utf-8"))[1]
     for folder, names in re.findall(r"^- `([\w/]+/)`: (.+)$", helpers, re.MULTILINE):
         steps |= {folder + name for name in re.findall(r"`(\w+\.py)`", names)}
