@@ -5,7 +5,7 @@ Foreign formats and the procedures that make a calibration.
 
 from typing import TYPE_CHECKING
 
-from engine.core.lazy_door import lazy_door
+from engine.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from engine.calibration.camera_calibration import (
@@ -30,4 +30,4 @@ if TYPE_CHECKING:
         DepthSteps as DepthSteps,
     )
 
-__getattr__, __all__ = lazy_door(__name__)
+__getattr__, __all__ = lazy_exports(__name__)

@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from engine.control.fraction_checks import PositionSignOff, ReferenceBudget
+from engine.control.fraction_checks import PositionSignature, ReferenceBudget
 from engine.control.session_state import Learner, SessionLimits
 from engine.core.commands import Arm, Countersign
 from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError
@@ -136,7 +136,7 @@ class Arming:
     def __init__(self, learner: Learner, limits: SessionLimits, fraction: FractionArming | None = None) -> None:
         self._learner, self._limits = learner, limits
         self.budget = ReferenceBudget(learner, limits, fraction)
-        self.position = PositionSignOff(learner, limits)
+        self.position = PositionSignature(learner, limits)
         self.countersignature = Countersignature(self.budget, limits)
         self.forecast = DutyForecast(learner, limits)
         self.reference_by = ""

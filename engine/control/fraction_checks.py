@@ -294,7 +294,7 @@ class PositionState:
         return () if self.check is None else self.tolerance.shortcomings(self.check)
 
 
-class PositionSignOff:
+class PositionSignature:
     """Keeps the signature; owned by the engine thread."""
 
     def __init__(self, learner: Learner, limits: SessionLimits) -> None:

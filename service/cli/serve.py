@@ -49,7 +49,7 @@ def serve(
     from service.core.logging.nonblocking import flush_log
     from service.core.settings.settings import SettingsError, load_settings
     from service.engine_host.beam_lines import alone_at_targets
-    from service.engine_host.site_rules.recording_folders import refuse_same_names
+    from service.engine_host.site_limits.recording_folders import refuse_same_names
     from service.storage.files.folder_lock import alone_in
     from service.web.shutdown import leave_at_once
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from engine.control import LiveView
 from service.core.errors import QaActiveError, ServiceStoppingError, SessionActiveError
-from service.engine_host.roles import RunningSession
+from service.engine_host.protocols import RunningSession
 
 PROCESSES = Path("/proc")
 MODULES = {b"service.engine_host.process", b"service.engine_process"}

@@ -26,11 +26,16 @@ from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_on_state, make_beam_line
 from service.engine_host.camera_warmth import CameraKeeper, WarmingSource, WarmthFile, warm_up_s
-from service.engine_host.roles import RunningEngine, SessionPlan
+from service.engine_host.protocols import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
-from service.engine_host.site_rules.calibrations import check_still_allowed, checked_camera
-from service.engine_host.site_rules.recording_folders import check_source
-from service.engine_host.site_rules.window_limits import check_head_direction, check_window, gate_limits, measuring_with
+from service.engine_host.site_limits.calibrations import check_still_allowed, checked_camera
+from service.engine_host.site_limits.recording_folders import check_source
+from service.engine_host.site_limits.window_limits import (
+    check_head_direction,
+    check_window,
+    gate_limits,
+    measuring_with,
+)
 
 STOP_TIMEOUT_S = 3.0
 HUNG = "the engine did not stop in time; the beam is held"

@@ -23,7 +23,7 @@ from engine.offline.replay import (
     this_software,
 )
 from service.core.settings.settings import Settings
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 from service.storage.files.motion_models import MODELS_FOLDER, ModelStore, raw_path, tape_path
 
 logger = logging.getLogger(__name__)

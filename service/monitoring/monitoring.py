@@ -10,7 +10,7 @@ from service.access.armed_operator import ArmedOperator
 from service.access.service import AccessService
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import EnginePort
+from service.engine_host.protocols import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.engine import EngineMetrics

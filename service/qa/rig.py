@@ -28,7 +28,7 @@ from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
 from service.engine_host.camera_warmth import CameraClaim, ClaimingSource
-from service.engine_host.site_rules.calibrations import checked_camera
+from service.engine_host.site_limits.calibrations import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.jobs import QaFiles
 from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest

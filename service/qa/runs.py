@@ -14,8 +14,8 @@ from engine.qa import QaKind
 from service.core.errors import BoundError, QaStateError, SessionActiveError
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.site_rules.calibrations import check_still_allowed
-from service.engine_host.site_rules.recording_folders import find_recording
+from service.engine_host.site_limits.calibrations import check_still_allowed
+from service.engine_host.site_limits.recording_folders import find_recording
 from service.qa import queries as records, schemas, views
 from service.qa.jobs import Current, CurrentRun, Handle, QaFiles, QaJob, QaRig, run_job
 from service.qa.one_time_code import OneTimeCodes

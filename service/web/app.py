@@ -25,7 +25,7 @@ from service.access.request.addresses import ClientAddresses
 from service.core.settings.groups import ConnectionLimits
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.roles import EnginePort
+from service.engine_host.protocols import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.qa.jobs import QaRig
 from service.qa.late_rig import LateRig

@@ -12,7 +12,7 @@ from service.access.oidc.service import OidcService
 from service.access.service import AccessService, open_access
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import EnginePort
+from service.engine_host.protocols import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
 from service.planning.rt_plan.planned_sessions import PlannedSessions

@@ -16,7 +16,7 @@ from service.access.service import AccessService
 from service.core.conditional import LONGEST, Precondition, is_known, precondition
 from service.core.errors import MediaTypeError, NotLoggedInError
 from service.core.schemas.base import Identifier, Name
-from service.engine_host.roles import EnginePort
+from service.engine_host.protocols import EnginePort
 from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.registry import Metrics
 from service.monitoring.readiness import ReadinessProbe

@@ -18,7 +18,7 @@ from service.access.request.identity import RequestCaller
 from service.core.conditional import Precondition
 from service.core.permissions import Permission
 from service.core.schemas import sessions
-from service.engine_host.roles import CommandName
+from service.engine_host.protocols import CommandName
 from service.sessions.lifecycle.runner import SessionRunner
 from service.web import dependencies
 from service.web.dependencies import Services

@@ -15,7 +15,7 @@ from engine.qa.recorded_traces import read_trace
 from engine.qa.trace import read_commanded
 from lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from service.core.errors import BoundError, NotFoundError
-from service.engine_host.site_rules.recording_folders import find_recording
+from service.engine_host.site_limits.recording_folders import find_recording
 
 OUTSIDE = [
     "../secret.oni",

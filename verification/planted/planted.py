@@ -380,10 +380,10 @@ PLANTED: tuple[Planted, ...] = (
     ),
     Planted(
         what="clinical mode opens a camera that cannot be compared",
-        file="service/engine_host/site_rules/calibrations.py",
+        file="service/engine_host/site_limits/calibrations.py",
         old="if warning is not None:\n        raise",
         new='if warning is not None and warning.code == "camera_mismatch":\n        raise',
-        test="tests/service/engine_host/site_rules/test_camera_serial.py::"
+        test="tests/service/engine_host/site_limits/test_camera_serial.py::"
         "test_clinical_mode_refuses_a_camera_that_cannot_be_compared",
     ),
     Planted(

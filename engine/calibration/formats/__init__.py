@@ -6,7 +6,7 @@
 
 from typing import TYPE_CHECKING
 
-from engine.core.lazy_door import lazy_door
+from engine.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from engine.calibration.formats.conversion import (
@@ -16,4 +16,4 @@ if TYPE_CHECKING:
         read_upload as read_upload,
     )
 
-__getattr__, __all__ = lazy_door(__name__)
+__getattr__, __all__ = lazy_exports(__name__)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from engine.core.lazy_door import lazy_door
+from engine.core.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from engine.qa.latency.light_driver import (
@@ -18,4 +18,4 @@ if TYPE_CHECKING:
         LightInput as LightInput,
     )
 
-__getattr__, __all__ = lazy_door(__name__)
+__getattr__, __all__ = lazy_exports(__name__)

@@ -11,7 +11,7 @@ from service.cli.qa.options import RunOptions
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.calibrations import refuse_reserved_name
+from service.engine_host.site_limits.calibrations import refuse_reserved_name
 from service.qa import queries, schemas
 from service.qa.jobs import QaFiles
 from service.qa.runs import check_beam_safety, new_run, permits_real_beam, refuse_open_session

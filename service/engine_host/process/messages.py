@@ -22,7 +22,7 @@ from service.core.schemas import sessions
 from service.core.settings.names import PREFIX
 from service.core.settings.settings import Settings
 from service.engine_host.process.channels import BulkChannel, ControlChannel, SharedPage
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 
 MODULE = "service.engine_host.process"
 CODE = Path(__file__).parents[3]

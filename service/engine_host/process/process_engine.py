@@ -29,7 +29,7 @@ from service.engine_host.process.messages import (
     start_child,
 )
 from service.engine_host.process.remote_engine import RemoteEngine, begin_session, cause_of
-from service.engine_host.roles import RunningEngine, SessionPlan
+from service.engine_host.protocols import RunningEngine, SessionPlan
 
 logger = logging.getLogger(__name__)
 
@@ -188,7 +188,7 @@ class TurnError(EngineProcessError):
 
 
 class ProcessEngine:
-    """The service's :class:`~service.engine_host.roles.EnginePort`: one process a session, one on standby."""
+    """The service's :class:`~service.engine_host.protocols.EnginePort`: one process a session, one on standby."""
 
     def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
         self.is_simulated_beam = settings.is_simulated_beam

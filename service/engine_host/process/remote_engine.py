@@ -1,4 +1,4 @@
-"""An engine in another process, as :class:`service.engine_host.roles.RunningEngine`.
+"""An engine in another process, as :class:`service.engine_host.protocols.RunningEngine`.
 
 Nothing here decides, or waits for a frame.
 
@@ -49,7 +49,7 @@ from service.engine_host.process.messages import (
     Presence,
     Stop,
 )
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 
 logger = logging.getLogger(__name__)
 

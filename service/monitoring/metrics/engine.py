@@ -12,7 +12,7 @@ from engine.beam import BeamOnState
 from engine.control import LiveView
 from engine.core.gate_state import GateState, HoldReason
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import EnginePort, RunningEngine
+from service.engine_host.protocols import EnginePort, RunningEngine
 
 MS_PER_S = 1000.0
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")

@@ -22,7 +22,7 @@ from service.core.schemas.plans import (
     Prescribed,
     RtPlan,
 )
-from service.engine_host.site_rules.window_limits import FIELD, GANTRY_SIDE, SUPPORTED_POSITIONS, head_of
+from service.engine_host.site_limits.window_limits import FIELD, GANTRY_SIDE, SUPPORTED_POSITIONS, head_of
 from service.planning.rt_plan import repository
 from service.planning.rt_plan.errors import (
     FractionDoneError,

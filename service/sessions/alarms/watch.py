@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from engine.core.clock import NS_PER_US, Clock, MonotonicClock
 from service.core.periodic import PeriodicWorker
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import RunningSession
+from service.engine_host.protocols import RunningSession
 from service.sessions.alarms.board import (
     Alarm,
     AlarmBoard,

@@ -12,7 +12,7 @@ from engine.core.gate_state import GateState
 from engine.gating import HoldStage
 from service.core.errors import BoundError, SessionStateError
 from service.core.schemas.coaching import Coaching, Language
-from service.engine_host.roles import LiveFrame, RunningSession
+from service.engine_host.protocols import LiveFrame, RunningSession
 from service.sessions.coaching.guide import US_PER_S, GuideFrame, guide_frame, guided_by, span_of
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog

@@ -15,7 +15,7 @@ from engine.core.frames import FloatArray
 from engine.core.motion_model import MotionModel
 from engine.core.sentences import listed, say
 from engine.motion import PatientMatchLimits, rigid_between
-from service.engine_host.roles import BodyMatch
+from service.engine_host.protocols import BodyMatch
 from service.storage.audit import SYSTEM, Event
 from service.storage.database.engine import Database
 from service.storage.database.tables import ModelRow, SessionRow

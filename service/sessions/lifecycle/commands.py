@@ -23,7 +23,7 @@ from engine.gating import SetWindow
 from service.core.current_request import request_time_ns
 from service.core.errors import EngineTimeoutError, SessionStateError
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import CommandName, RunningEngine, RunningSession
+from service.engine_host.protocols import CommandName, RunningEngine, RunningSession
 from service.sessions.alarms.board import Alarm, fault_code
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.records.etags import Withdrawals

@@ -27,7 +27,7 @@ from engine.core.signals import HeadDirection
 from service.core.errors import BoundError, PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
-from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
+from service.engine_host.protocols import CommandName, LiveFrame, Picture, RunningSession
 from service.sessions.lifecycle.commands import (
     COMMANDS,
     Acknowledgement,

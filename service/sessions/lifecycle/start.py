@@ -20,9 +20,9 @@ from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
-from service.engine_host.site_rules.calibrations import described
-from service.engine_host.site_rules.recording_folders import described_source, find_recording
+from service.engine_host.protocols import EnginePort, RunningSession, SessionPlan
+from service.engine_host.site_limits.calibrations import described
+from service.engine_host.site_limits.recording_folders import described_source, find_recording
 from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error

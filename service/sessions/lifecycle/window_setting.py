@@ -21,8 +21,8 @@ from service.core.schemas.gate import BaselineCorrectionRequest
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import RunningEngine, SessionPlan
-from service.engine_host.site_rules.window_limits import check_window, gate_limits
+from service.engine_host.protocols import RunningEngine, SessionPlan
+from service.engine_host.site_limits.window_limits import check_window, gate_limits
 from service.sessions.lifecycle.commands import EngineCommander
 from service.sessions.views.breath import gated_breath, live_window
 from service.storage.database import queries

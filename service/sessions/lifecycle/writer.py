@@ -28,7 +28,7 @@ from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningEvent
 from engine.core.motion_model import ModelOrigin, MotionModel
 from engine.motion import PatientMatchLimits
-from service.engine_host.roles import BodyMatch, RunningEngine
+from service.engine_host.protocols import BodyMatch, RunningEngine
 from service.sessions.lifecycle.body_comparison import EarlierBody, body_event, compare_bodies
 from service.sessions.lifecycle.counters import HELD, BeamOffs, SessionCounters, beam_off_event
 from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event

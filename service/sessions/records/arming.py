@@ -17,7 +17,7 @@ from service.core.schemas.sentences import sentence_parts
 from service.core.schemas.sessions import SessionDetail
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import RunningSession
+from service.engine_host.protocols import RunningSession
 from service.sessions.records.calibrations import ModelRepository
 from service.sessions.records.sessions import SessionRepository
 from service.storage.database import queries

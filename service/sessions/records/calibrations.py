@@ -32,8 +32,8 @@ from service.core.schemas.records import (
     Spectrum,
 )
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.site_rules.calibrations import refuse_reserved_name
-from service.engine_host.site_rules.recording_folders import find_recording, recording_paths
+from service.engine_host.site_limits.calibrations import refuse_reserved_name
+from service.engine_host.site_limits.recording_folders import find_recording, recording_paths
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog

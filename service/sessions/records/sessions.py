@@ -26,15 +26,15 @@ from service.core.schemas.base import finite_or_none, rounded_or_none
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.roles import EnginePort, RunningSession
-from service.engine_host.site_rules.calibrations import check_allowed, described, kind_of, warning_of
-from service.engine_host.site_rules.recording_folders import (
+from service.engine_host.protocols import EnginePort, RunningSession
+from service.engine_host.site_limits.calibrations import check_allowed, described, kind_of, warning_of
+from service.engine_host.site_limits.recording_folders import (
     check_source,
     described_source,
     find_recording,
     warning_of_source,
 )
-from service.engine_host.site_rules.window_limits import check_head_direction, check_window, gate_limits
+from service.engine_host.site_limits.window_limits import check_head_direction, check_window, gate_limits
 from service.sessions.alarms.board import AlarmBoard, live_alarms
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold, live_window

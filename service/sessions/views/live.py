@@ -30,8 +30,8 @@ from service.core.schemas.live_messages import (
     Sample,
 )
 from service.core.schemas.sentences import sentence_parts
-from service.engine_host.roles import BodyMatch, SessionPlan
-from service.engine_host.site_rules.calibrations import kind_of, serial_warning
+from service.engine_host.protocols import BodyMatch, SessionPlan
+from service.engine_host.site_limits.calibrations import kind_of, serial_warning
 from service.sessions.views.breath import live_breath, live_breath_hold, live_window
 from service.sessions.views.interlocks import live_checks
 from service.sessions.views.position import live_position_check, live_reference

@@ -12,7 +12,7 @@ from service.core.schemas.base import rounded_or_none
 from service.core.schemas.live_messages import LiveDegree, LivePositionCheck, LiveReference
 from service.core.schemas.sessions import ReferenceProposalView
 from service.core.settings.settings import Settings
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 
 DIGITS = 2
 FIRST_FRACTION = say("first fraction of the plan: the confirmed reference becomes the plan's position")

@@ -17,7 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from engine.core.clock import NS_PER_MS
 from service.core.schemas.coaching import CoachBand, CoachGuide, CoachHello, CoachMessage, CoachWait
-from service.engine_host.roles import LiveFeed, LiveFrame
+from service.engine_host.protocols import LiveFeed, LiveFrame
 from service.sessions.coaching.board import CoachingBoard, Guidance
 from service.web.dependencies import access, caller, require_guarded
 from service.web.stream.encoding import Form, Shape, StreamClock

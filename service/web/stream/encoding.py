@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from engine.core.clock import NS_PER_MS
 from service.core.schemas.base import Identifier
 from service.core.schemas.live_messages import Hello, Message, Sample, ThinSample
-from service.engine_host.roles import LiveFrame
+from service.engine_host.protocols import LiveFrame
 
 SLOWEST_HZ, FASTEST_HZ = 0.2, 60.0
 LAST_FRAME = 2**53

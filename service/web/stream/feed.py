@@ -9,8 +9,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from engine import __version__
 from service.core.schemas.live_messages import Dropped, Hello, Message
-from service.engine_host.roles import LiveFeed
-from service.engine_host.site_rules.calibrations import kind_of, warning_of
+from service.engine_host.protocols import LiveFeed
+from service.engine_host.site_limits.calibrations import kind_of, warning_of
 from service.web.stream.encoding import EncodedMessage, Frame, Shape, StreamQuery, encode
 from service.web.stream.hub import PING_S, Client, LiveHub
 from service.web.stream.metrics import CloseReason

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import anyio
 
 from service.core.schemas.live_messages import Alarms, Idle, Ping, Sample
-from service.engine_host.roles import LiveFeed, LiveFrame
+from service.engine_host.protocols import LiveFeed, LiveFrame
 from service.sessions.alarms.board import AlarmBoard, live_alarm_event, live_alarms
 from service.web.stream.client_slot import ClientSlot
 from service.web.stream.encoding import Frame, MessageEncoder, Plain, Shape, StreamClock

@@ -7,7 +7,7 @@ from fastapi.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from service.core.errors import StreamFullError
-from service.engine_host.roles import LiveFeed
+from service.engine_host.protocols import LiveFeed
 from service.web.dependencies import access, caller, services
 from service.web.problems.table import problem_of, problem_response
 from service.web.stream.encoding import Shape, StreamQuery

@@ -12,7 +12,7 @@ from service.cli.measure import command
 from service.cli.measure.options import window
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.window_limits import gate_limits
+from service.engine_host.site_limits.window_limits import gate_limits
 from tests.support.command_line import invoke, measured
 
 pytestmark = pytest.mark.verification

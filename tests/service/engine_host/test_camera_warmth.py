@@ -27,7 +27,7 @@ from service.engine_host.camera_warmth import (
     warm_up_s,
 )
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.repository import ROOT
 from tests.support.service.api_calls import WINDOW, make_calibration

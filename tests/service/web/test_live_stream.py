@@ -29,7 +29,7 @@ from service.core.schemas.live_messages import (
     Sample,
 )
 from service.core.schemas.sessions import RecordingSource, Window
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 from service.sessions.views.live import live_sample
 from service.web.app import create_app
 from tests.support.contract.schemas import Schema

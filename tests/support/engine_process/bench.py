@@ -23,7 +23,7 @@ from service.core.settings.settings import Settings
 from service.engine_host.process import messages, process_engine, remote_engine
 from service.engine_host.process.process_engine import ProcessEngine
 from service.engine_host.process.remote_engine import RemoteEngine
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 from tests.support import waiting
 from tests.support.control.loop_bench import drained
 from tests.support.engine_process.real_time_program import LINE

@@ -36,7 +36,7 @@ from engine.gating.active_window import SetWindow
 from engine.gating.supervision.checks import CheckState
 from engine.gating.windows import ConditionState, GateWindow, amplitude_window
 from service.core.schemas import sessions
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 
 FRAME_NS = 33_370_000
 SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)))

@@ -10,7 +10,7 @@ from engine.core.learning_status import LearningStatus
 from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, GateWindow, HoldStage
 from service.core.schemas.sessions import RecordingSource, Window
-from service.engine_host.roles import LiveFrame, SessionPlan
+from service.engine_host.protocols import LiveFrame, SessionPlan
 from service.sessions.views.live import live_sample
 from tests.support.service.api_calls import WINDOW, make_calibration
 from tests.support.service.fake_engine import FakeRunning

@@ -6,7 +6,7 @@ from typing import Any
 
 from service.core.schemas.live_messages import Sample
 from service.core.schemas.sessions import RecordingSource, Window
-from service.engine_host.roles import LiveFrame, SessionPlan
+from service.engine_host.protocols import LiveFrame, SessionPlan
 from service.sessions.alarms.board import AlarmBoard
 from service.sessions.views.live import live_sample
 from service.web.stream.encoding import Form, Frame, MessageEncoder, Shape, StreamClock

@@ -12,7 +12,7 @@ from engine.gating.windows import amplitude_window
 from service.core.schemas import sessions
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.site_rules.window_limits import gate_limits
+from service.engine_host.site_limits.window_limits import gate_limits
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, make_session_body
 from tests.support.site_settings import give_settings

@@ -7,7 +7,7 @@ from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.roles import SessionPlan
+from service.engine_host.protocols import SessionPlan
 from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, act, audit_rows, make_calibration, make_session_body, upload

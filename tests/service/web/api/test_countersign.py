@@ -8,7 +8,7 @@ from engine.core.errors import CountersignatureError
 from service.core.permissions import Role
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.window_limits import gate_limits
+from service.engine_host.site_limits.window_limits import gate_limits
 from tests.support.service.accounts import PASSWORD, QuickHashing, open_login
 from tests.support.service.api_calls import audit_rows
 from tests.support.service.clinical_site import clinical_settings

@@ -10,7 +10,7 @@ from service.core.errors import BoundError
 from service.core.schemas.sessions import Regions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.site_rules.window_limits import check_head_direction, gate_limits, head_of, measuring_with
+from service.engine_host.site_limits.window_limits import check_head_direction, gate_limits, head_of, measuring_with
 from tests.support.service.api_calls import WINDOW, act, audit_rows
 
 URL = "/api/v1/sessions"

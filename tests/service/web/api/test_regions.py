@@ -11,7 +11,7 @@ import pytest
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, PhaseLag
 from engine.motion.settings import PipelineSettings
 from service.core.schemas import sessions
-from service.engine_host.site_rules.window_limits import measuring_with
+from service.engine_host.site_limits.window_limits import measuring_with
 from tests.support.service import fake_engine
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.waiting import eventually

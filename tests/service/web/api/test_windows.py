@@ -19,7 +19,7 @@ from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.window_limits import (
+from service.engine_host.site_limits.window_limits import (
     breath_signals,
     check_window,
     gate_limits,

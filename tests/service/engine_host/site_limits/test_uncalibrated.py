@@ -12,8 +12,8 @@ from service.core.schemas.sessions import DeviceSource, Window
 from service.core.settings.settings import Settings
 from service.engine_host import local_engine
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.roles import SessionPlan
-from service.engine_host.site_rules.calibrations import WARNING
+from service.engine_host.protocols import SessionPlan
+from service.engine_host.site_limits.calibrations import WARNING
 from service.storage.audit import SYSTEM
 from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.service.api_calls import WINDOW, act, audit_rows, make_calibration, upload

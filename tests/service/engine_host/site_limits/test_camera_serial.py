@@ -9,7 +9,7 @@ from engine.capture.reconnecting import CheckedSource
 from engine.capture.source import SourceDescription
 from engine.core.errors import CameraMismatchError
 from service.core.settings.settings import Settings
-from service.engine_host.site_rules.calibrations import checked_camera, serial_warning
+from service.engine_host.site_limits.calibrations import checked_camera, serial_warning
 from tests.support.service.api_calls import act, audit_rows, make_calibration
 from tests.support.service.fake_engine import FakeRunning
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.control.fraction_checks import PositionSignOff
+from engine.control.fraction_checks import PositionSignature
 from engine.control.session_state import SessionLimits
 from engine.core.clock import NS_PER_S, ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam, SetReference, SignPosition
@@ -236,7 +236,7 @@ def test_the_lapse_of_an_earlier_reference_is_not_that_of_the_one_in_use():
 def test_a_patient_may_be_unmeasured_for_a_minute_itself(beyond_ns, lapse):
     pipeline = RecordingPipeline(ManualClock(0))
     pipeline.is_position_required, pipeline.position_check = True, WITHIN
-    sign_off = PositionSignOff(pipeline, SessionLimits(LIMITS))
+    sign_off = PositionSignature(pipeline, SessionLimits(LIMITS))
     first = measured(10**6)
     sign_off.follow(first, ())
     hidden = unmeasured(first, MeasurementState.LOST, LostReason.MARKER_LOST)

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 
-def lazy_door(package: str) -> tuple[Callable[[str], object], list[str]]:
+def lazy_exports(package: str) -> tuple[Callable[[str], object], list[str]]:
     """Return ``__getattr__`` and ``__all__`` of a package (PEP 562).
 
     The names stand once in the package's ``__init__.py``, as imports under ``if TYPE_CHECKING``: the type checker and

@@ -3,7 +3,7 @@
 import pytest
 
 from service.core.errors import BoundError, NotFoundError
-from service.engine_host.site_rules.recording_folders import find_recording, refuse_same_names
+from service.engine_host.site_limits.recording_folders import find_recording, refuse_same_names
 
 
 @pytest.fixture

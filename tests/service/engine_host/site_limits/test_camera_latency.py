@@ -6,7 +6,7 @@ from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host import local_engine
 from service.engine_host.local_engine import LocalEngine
-from service.engine_host.site_rules.window_limits import gate_limits
+from service.engine_host.site_limits.window_limits import gate_limits
 from tests.support.engine_process.bench import make_plan
 from tests.support.service.api_calls import WINDOW
 
