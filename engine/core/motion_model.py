@@ -16,6 +16,7 @@ import numpy as np
 
 from engine.core.errors import InvalidValueError, ModelError, ModelMismatchError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, frozen
+from engine.core.locking_curve import LockingCurve
 
 MAX_TEXT = 200
 MAX_SETTINGS = 64
@@ -151,6 +152,8 @@ class MotionModel:
     depth_steps
         The steps of the sensor's readings in the training: offset and step of the inverse depth [1/mm], and rounding
         [mm]; empty for a sensor without steps, None in models without them.
+    locking
+        The sensor's error that is common to all pixels, which the training found; None where there is none.
     provenance
         How good the training was, and where the model comes from.
     """
@@ -170,6 +173,7 @@ class MotionModel:
     sample_reconstructed_mm: FloatArray | None = None
     residual_map_mm: FloatArray | None = None
     depth_steps: tuple[float, ...] | None = None
+    locking: LockingCurve | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from engine.core.errors import InvalidValueError, ModelError
 from engine.core.files import open_plain, whole_file
 from engine.core.frames import FloatArray
+from engine.core.locking_curve import HARMONICS, LARGEST_PX, LockingCurve
 from engine.core.motion_model import (
     DEPTH_STEPS,
     MAX_SETTINGS,
@@ -35,6 +36,7 @@ MAX_MODEL_BYTES = 64 * 1024 * 1024
 MAX_COMPONENTS = 64
 MAX_EIGENVALUES = 10_000
 DEPTH_BOUNDS_MM = (100.0, 20_000.0)
+PIXELS_BOUNDS_MM = (1_000.0, 1_000_000.0)
 NOISE_BOUNDS_MM = (0.01, 1000.0)
 HEADER = "header"
 ARRAYS: Mapping[str, type[np.generic]] = {
@@ -109,6 +111,8 @@ def header_text(model: MotionModel) -> str:
     }
     if model.depth_steps is not None:
         header["depth_steps"] = list(model.depth_steps)
+    if model.locking is not None:
+        header["locking"] = asdict(model.locking)
     return json.dumps(header, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -137,7 +141,7 @@ def _typed(name: str, array: npt.NDArray[Any], dtype: type[np.generic]) -> npt.N
 def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel:
     if isinstance(document, dict) and document.get("schema") != SCHEMA:
         raise InvalidValueError("schema", document.get("schema"), SCHEMA)
-    header = _JSON.fields(ROOT, document, required=_REQUIRED, optional=("depth_steps",))
+    header = _JSON.fields(ROOT, document, required=_REQUIRED, optional=("depth_steps", "locking"))
     components, eigenvalues = arrays["components"], arrays["eigenvalues_mm2"]
     if components.ndim != 3 or not 1 <= len(components) <= MAX_COMPONENTS:
         raise InvalidValueError("components", components.shape, f"1 to {MAX_COMPONENTS} surfaces")
@@ -154,8 +158,19 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
         calibration_sha256=_sha256("calibration_sha256", header["calibration_sha256"]),
         noise_mm=_JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
         depth_steps=_depth_steps(header["depth_steps"]) if "depth_steps" in header else None,
+        locking=_locking(header["locking"]) if "locking" in header else None,
         provenance=_provenance(header),
     )
+
+
+def _locking(document: object) -> LockingCurve:
+    found = _JSON.fields("locking", document, required=("pixels_mm", "cosine_px", "sine_px"))
+    cosine_px, sine_px = (
+        tuple(_JSON.vector(f"locking.{name}", found[name], HARMONICS, -LARGEST_PX, LARGEST_PX))
+        for name in ("cosine_px", "sine_px")
+    )
+    pixels_mm = _JSON.number("locking.pixels_mm", found["pixels_mm"], *PIXELS_BOUNDS_MM)
+    return LockingCurve(pixels_mm=pixels_mm, cosine_px=cosine_px, sine_px=sine_px)
 
 
 def _depth_steps(value: object) -> tuple[float, ...]:

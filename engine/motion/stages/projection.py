@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
+from engine.core.locking_curve import corrected
 from engine.core.motion_model import MotionModel
 from engine.core.replacing import replace
 
@@ -87,6 +88,8 @@ class Basis:
         Products of the modes over all known pixels, shape (k + e, k + e), float64.
     noise_mm
         The noise of the training, as in `engine.core.motion_model.MotionModel` [mm].
+    locking_table_mm
+        What is taken off the readings, as `engine.core.locking_curve.corrected` takes it; None for nothing.
     """
 
     components: int
@@ -102,6 +105,7 @@ class Basis:
     reach: FloatArray
     known_gram: FloatArray
     noise_mm: float
+    locking_table_mm: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -157,6 +161,7 @@ def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
         reach=np.abs(sampled).max(axis=1).astype(np.float64),
         known_gram=exact @ exact.T,
         noise_mm=model.noise_mm,
+        locking_table_mm=None if model.locking is None else model.locking.table_mm(),
     )
 
 
@@ -183,7 +188,10 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None, noise_mm: flo
     Projection | None
         None when nothing of the region was seen, or nothing of it follows from what was seen.
     """
-    found = _projected(basis, roi.thinned(STRIDE_PX), start)
+    thin = roi.thinned(STRIDE_PX)
+    if basis.locking_table_mm is not None:
+        thin = replace(thin, depth_mm=corrected(thin.depth_mm, basis.locking_table_mm))
+    found = _projected(basis, thin, start)
     added_mm = noise_residual_mm(basis.noise_mm if noise_mm is None else noise_mm)
     if found is None or added_mm == 0.0:
         return found

@@ -75,6 +75,9 @@ def test_the_usual_sensor_has_no_error_that_depends_on_the_phase():
 def test_an_unknown_sensor_is_refused():
     with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking, active-stereo"):
         find_sensor("lidar")
+    assert find_sensor("drawn-3") == find_sensor("drawn-3") != find_sensor("drawn-4")
+    with pytest.raises(InvalidValueError, match="or drawn-N, N below 1000"):
+        find_sensor("drawn-1000")
     names = {"usual", "locking", "active-stereo", "active-stereo-rough", "time-of-flight", "structured-light"}
     assert set(SENSORS) == names
     assert find_sensor("structured-light") is find_sensor("usual")
