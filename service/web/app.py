@@ -177,6 +177,7 @@ def create_app(
     make_engine: Callable[[Settings], EnginePort] = LocalEngine,
     make_rig: Callable[[Settings], QaRig] = LateRig,
     tell_first: OnFirstAdmin | None = None,
+    connection_limits: ConnectionLimits | None = None,
 ) -> FastAPI:
     """Make the application; nothing is opened before its lifespan begins.
 
@@ -207,7 +208,7 @@ def create_app(
                 RequestMiddleware,
                 host_names=settings.host_names,
                 max_body_bytes=settings.max_body_bytes,
-                max_body_s=ConnectionLimits().body_s,
+                max_body_s=(connection_limits or ConnectionLimits()).body_s,
                 larger_bodies={PLAN_IMPORT: settings.max_plan_bytes},
             ),
             Middleware(

@@ -1,6 +1,7 @@
 """A service whose patience is short, with a session running in it whose gate goes on and off."""
 
 import contextlib
+import json
 import resource
 import time
 from collections.abc import Iterator
@@ -12,12 +13,13 @@ import pytest
 
 from tests.support.service.api_calls import act, make_calibration, make_session_body, upload
 from tests.support.service.processes import free_port, service_process
+from tests.support.service.self_driving_program import LIMITS
 from tests.support.waiting import eventually
 from verification.attack.limits import PATIENCE_S, SECRET
 
 FRAMES_A_SECOND = 10
 """Fewer than the fake camera's thirty: this is about harm, the figures are the load test's."""
-SHORT = {f"TIDEGATE_HTTP_{name}": f"{PATIENCE_S:g}" for name in ("HEADER_S", "BODY_S", "KEEP_ALIVE_S", "WRITE_S")}
+SHORT = dict.fromkeys(("header_s", "body_s", "keep_alive_s", "write_s"), PATIENCE_S)
 
 
 @dataclass(slots=True)
@@ -60,7 +62,7 @@ def served(tmp_path_factory) -> Iterator[Attacked]:
     (folder / "chest.oni").write_bytes(b"")
     port, log = free_port(), folder / "log"
     arguments = ("tests.support.service.self_driving_program", str(folder / "data"), str(folder), str(port))
-    environment = {**SHORT, "TIDEGATE_HTTP_MAX_CONNECTIONS_PER_ADDRESS": "128"}
+    environment = {LIMITS: json.dumps({**SHORT, "max_connections_per_address": 128})}
     with contextlib.ExitStack() as stack:
         started = service_process(*arguments, port=port, log=log, data=folder / "data", environment=environment)
         process, client = stack.enter_context(started)

@@ -7,6 +7,8 @@ host monotonic time, which is the same clock in the test's process.
 """
 
 import contextlib
+import json
+import os
 import sys
 import threading
 import time
@@ -14,6 +16,7 @@ from pathlib import Path
 
 from engine.core.gate_state import GateState, HoldReason
 from service.access.request.addresses import LOOPBACK
+from service.core.settings.groups import ConnectionLimits
 from service.core.settings.settings import Settings
 from service.web.app import create_app
 from service.web.server import make_server
@@ -21,6 +24,8 @@ from tests.support.service.fake_engine import FakeEngine, FakeRunning
 
 FRAME_S = 1 / 30
 FRAMES_A_TRANSITION = 10
+LIMITS = "SERVICE_TEST_CONNECTION_LIMITS"
+"""The environment variable with other limits of connections, as JSON."""
 
 
 class SelfDrivingEngine(FakeEngine):
@@ -55,12 +60,14 @@ def main() -> None:
     data, recordings, port = sys.argv[1:]
     settings = Settings(data_dir=Path(data), recordings_dirs=(Path(recordings),), port=int(port))
     with contextlib.suppress(KeyboardInterrupt):
-        app = create_app(settings, lambda _settings: SelfDrivingEngine())
+        limits = ConnectionLimits(**json.loads(os.environ.get(LIMITS, "{}")))
+        app = create_app(settings, lambda _settings: SelfDrivingEngine(), connection_limits=limits)
         make_server(
             app,
             host=settings.host,
             port=settings.port,
             certificate=app.state.certificate,
+            connection_limits=limits,
             trusted_proxies=LOOPBACK if settings.behind_proxy else (),
         ).run()
 
