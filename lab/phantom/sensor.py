@@ -69,7 +69,7 @@ LEAST_NOISE_SHIFTS = 0.1
 ERRORS: dict[str, dict[str, float | bool]] = {
     "noise": {"noise_shifts": LEAST_NOISE_SHIFTS},
     "pattern": {"pattern_shifts": 0.0},
-    "locking": {"locking_shifts": 0.0},
+    "locking": {"locking_shifts": 0.0, "common_locking_shifts": 0.0},
     "steps": {"is_stepped": False},
 }
 """Each error of a sensor that can be left out, and the model without it."""

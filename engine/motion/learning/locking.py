@@ -24,6 +24,8 @@ ROUNDS = 4
 CHANCE, CERTAIN = 5.0, 7.0
 """Standard errors at which a curve begins to count, and counts in full; windows of 7 by 21 px reach 3.8 by chance."""
 LARGEST_RESIDUAL_MM = 8.0
+LEAST_PERIODS = 1.5
+"""Least range of the region's depths in periods: on a flatter one motion that the components lack looks like a curve."""
 
 
 def find_locking(
@@ -38,6 +40,9 @@ def find_locking(
     """
     every = (slice(None, None, max(STRIDE_PX // stride_px, 1)),) * 2
     raw, seen, known = np.ascontiguousarray(depth_mm[:, *every]), np.ascontiguousarray(valid[:, *every]), known[every]
+    low_mm, high_mm = np.percentile(raw[:, known][seen[:, known]], [5.0, 95.0])
+    if DISPARITY_MM_PX / low_mm - DISPARITY_MM_PX / high_mm < LEAST_PERIODS:
+        return None
     patches = _patches(known, PATCH_PX // STRIDE_PX)
     factors, shares, frames = np.zeros(2 * HARMONICS), np.zeros(HARMONICS), raw
     for number in range(ROUNDS):

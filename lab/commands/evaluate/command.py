@@ -2,7 +2,7 @@
 
 from lab.commands.evaluate.bench import bench
 from lab.commands.evaluate.breathing import breathing, gate
-from lab.commands.evaluate.integrity import ablations, budget, integrity
+from lab.commands.evaluate.integrity import ablations, budget, draws, integrity
 from lab.commands.evaluate.laser import laser, plane
 from lab.commands.evaluate.spirometer import spirometer
 from service.cli.command_group import command_group
@@ -13,6 +13,7 @@ evaluate = command_group(
 evaluate.callback(invoke_without_command=True)(bench)
 evaluate.command("ablations")(ablations)
 evaluate.command("budget")(budget)
+evaluate.command("draws")(draws)
 evaluate.command("gate")(gate)
 evaluate.command("breathing")(breathing)
 evaluate.command("integrity")(integrity)

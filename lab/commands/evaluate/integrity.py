@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from engine.core.bounds import check_whole_number
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
 from lab.commands.evaluate.bench import STOPPED, print_tables
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from lab.evaluation.table import Table
 
 WIDTH = 200
+
+
+SCENARIOS = ("regular", "irregular", "shift", "dibh", "isovolume", "drift")
 
 
 def integrity(
@@ -196,4 +200,32 @@ def budget(
                 task = bar.add_task(f"{run.name}, {run.scenario}", total=len(ROWS))
                 folder = (work or out / "work") / f"{run.name}-budget"
                 found.append(split(run, folder, partial(_count, bar, task)))
+        _write(table(found), out)
+
+
+def draws(
+    out: Annotated[Path, typer.Option(help="Folder for draws.csv.")],
+    work: Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the recordings.")] = 2017,
+    first: Annotated[int, typer.Option(help="Number of the first drawn sensor.")] = 0,
+    number: Annotated[int, typer.Option("--draws", help="How many sensors are drawn.")] = 10,
+    scenario: Annotated[list[str] | None, typer.Option(help="Kinds of breathing; regular and isovolume.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
+) -> None:
+    """Measure the same breathing on sensors drawn from the ranges between cameras, with and without locking curve."""
+    from lab.evaluation.runs.bench import check_jobs
+    from lab.evaluation.runs.datasets import SECONDS, check_plan
+    from lab.evaluation.runs.draws import measure_all, runs, table
+    from lab.phantom.sensor import MOST_DRAWN
+
+    with _refusing("draws", out):
+        check_plan(seed, SECONDS)
+        check_jobs(jobs)
+        check_whole_number("draws", number, 1, MOST_DRAWN)
+        check_whole_number("first", first, 0, MOST_DRAWN - number)
+        kinds = tuple(scenario or ("regular", "isovolume"))
+        for name in kinds:
+            if name not in SCENARIOS:
+                raise InvalidValueError("scenario", name, ", ".join(SCENARIOS))
+        found = measure_all(runs(seed, first, number, kinds), work or out / "work", jobs)
         _write(table(found), out)

@@ -15,6 +15,7 @@ from engine.core.frames import BoolArray, FloatArray
 from lab.evaluation.methods.outcome import LOST, TRAINING, Outcome, Track
 from lab.evaluation.runs.datasets import Run
 
+LEAST_MOTION_MM = 0.5
 SILENT_MM = 1.0
 COLUMNS = ("plain", "ours", "oracle")
 WHOLE = ("smoothed", "offline")
@@ -172,12 +173,24 @@ def _means(values: FloatArray) -> FloatArray:
     return np.where(counts > 0, np.nansum(values, axis=0) / np.maximum(counts, 1), np.nan)
 
 
+def cell_gains(errors_mm: FloatArray, depth_mm: FloatArray) -> FloatArray:
+    """Return the error of each cell per true motion, of the cells that move by half a millimetre or more."""
+    motion_mm, gains = _gains(errors_mm, depth_mm)
+    moving_mm = np.sqrt(np.nansum(np.square(motion_mm), axis=0) / np.maximum(np.isfinite(motion_mm).sum(axis=0), 1))
+    return np.asarray(gains[moving_mm >= LEAST_MOTION_MM])
+
+
 def _without_gain(errors_mm: FloatArray, depth_mm: FloatArray) -> FloatArray:
     """Take off each cell's error that is proportional to its true motion."""
+    motion_mm, gains = _gains(errors_mm, depth_mm)
+    return np.asarray(errors_mm - gains * motion_mm)
+
+
+def _gains(errors_mm: FloatArray, depth_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the true motion where a cell was measured, shape (n, rows, columns), and each cell's error per motion."""
     motion_mm = np.where(np.isfinite(errors_mm), depth_mm - depth_mm.mean(axis=0), np.nan)
     energy = np.maximum(np.nansum(motion_mm**2, axis=0), 1e-9)
-    centred = errors_mm - _means(errors_mm)
-    return np.asarray(errors_mm - np.nansum(centred * motion_mm, axis=0) / energy * motion_mm)
+    return motion_mm, np.asarray(np.nansum((errors_mm - _means(errors_mm)) * motion_mm, axis=0) / energy)
 
 
 def assess_trust(outcome: Outcome) -> Trust:

@@ -62,6 +62,12 @@ def test_a_body_at_rest_shows_no_curve():
     assert found(read(depth), valid) is None
 
 
+def test_a_region_of_hardly_any_depth_gets_no_curve_though_it_moves_as_if_there_were_one():
+    depth, valid = frames(NOISE_MM, blur_px=1.3, signal_mm=SIGNAL_MM)
+    bent_mm = 0.5 * np.cos(np.linspace(0.0, 24.0 * np.pi, len(depth)))[:, None, None]
+    assert found((depth + bent_mm).astype(np.float32), valid) is None
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_an_error_that_differs_from_place_to_place_is_not_taken_for_a_common_one(honest, seed):
     depth, valid = honest
