@@ -21,11 +21,13 @@ STRIDE_PX = 4
 PATCH_PX = 16
 """Side of the patches: more than the matching's window."""
 ROUNDS = 4
+MOST_FRAMES = 450
+"""Of a longer training every second, third, ... frame: more resolve the curve no better than the body lets them."""
 CHANCE, CERTAIN = 5.0, 7.0
 """Standard errors at which a curve begins to count, and counts in full; windows of 7 by 21 px reach 3.8 by chance."""
 LARGEST_RESIDUAL_MM = 8.0
 LEAST_PERIODS = 1.5
-"""Least range of the region's depths in periods: on a flatter one motion that the components lack looks like a curve."""
+"""Least range of the region's depths in periods: on a flatter one motion that components lack looks like a curve."""
 
 
 def find_locking(
@@ -39,7 +41,8 @@ def find_locking(
         As in `engine.motion.learning.fitting.fit`: frames on the thinned grid, shape (n, rows, columns).
     """
     every = (slice(None, None, max(STRIDE_PX // stride_px, 1)),) * 2
-    raw, seen, known = np.ascontiguousarray(depth_mm[:, *every]), np.ascontiguousarray(valid[:, *every]), known[every]
+    chosen = (slice(None, None, -(-len(depth_mm) // MOST_FRAMES)), *every)
+    raw, seen, known = np.ascontiguousarray(depth_mm[chosen]), np.ascontiguousarray(valid[chosen]), known[every]
     low_mm, high_mm = np.percentile(raw[:, known][seen[:, known]], [5.0, 95.0])
     if DISPARITY_MM_PX / low_mm - DISPARITY_MM_PX / high_mm < LEAST_PERIODS:
         return None
@@ -77,11 +80,11 @@ def _fitted(
     factors = inverse @ right.sum(axis=0)
     chance = right - gram @ factors  # of each patch; their sum is zero
     covariance = inverse @ (chance.T @ chance) @ inverse
-    errors = [_standard_errors(factors[one::HARMONICS], covariance[one::HARMONICS, one::HARMONICS]) for one in _ORDER]
+    errors = [
+        _standard_errors(factors[one::HARMONICS], covariance[one::HARMONICS, one::HARMONICS])
+        for one in range(HARMONICS)
+    ]
     return factors, np.array(errors)
-
-
-_ORDER = range(HARMONICS)
 
 
 def _standard_errors(pair: FloatArray, covariance: FloatArray) -> float:
