@@ -52,6 +52,9 @@ STEPS_A_PX = 8
 WINDOW_PX = 9
 """Side of the matching window."""
 USUAL = "usual"
+DRAWN = "drawn-"
+"""Beginning of the name of a sensor whose parameters are drawn; its number follows."""
+MOST_DRAWN = 1000
 STRUCTURED_LIGHT = "structured-light"
 DISPARITY_STEPS = 32
 """Steps of a D4xx in one pixel of disparity."""
@@ -263,11 +266,6 @@ SENSORS = {
 SENSORS[STRUCTURED_LIGHT] = SENSORS[USUAL]
 SENSORS["active-stereo-rough"] = replace(SENSORS["active-stereo"], noise_shifts=0.1 * DISPARITY_STEPS)
 """The other end of what is published of active stereo: twice the noise."""
-
-
-DRAWN = "drawn-"
-"""Beginning of the name of a sensor whose parameters are drawn; its number follows."""
-MOST_DRAWN = 1000
 
 
 def drawn_sensor(number: int) -> SensorModel:
