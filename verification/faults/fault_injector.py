@@ -144,7 +144,7 @@ def _before_measuring(act: Callable[[], None]) -> int:
     if not engines:
         msg = "no engine runs"
         raise LookupError(msg)
-    pipeline = engines[-1]._turns._measurer
+    pipeline = engines[-1]._session._measurer
     measure = pipeline.measure
     begun = threading.Event()
     received: list[int] = []
