@@ -12,8 +12,8 @@ from engine.core.errors import InvalidValueError
 from engine.core.frames import FloatArray
 
 HARMONICS = 2
-LARGEST_PX = 0.25
-"""No sub-pixel position is farther from a reading."""
+LARGEST_PX = 0.1
+"""Largest factor: with more than some 0.15 px readings would fall while the depth grows, which no matching does."""
 TABLE_MM = (300.0, 1700.0)
 TABLE_STEP_MM = 0.25
 
@@ -35,7 +35,7 @@ class LockingCurve:
     sine_px: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Raise InvalidValueError for factors that are not finite, or larger than half of a sub-pixel position."""
+        """Raise InvalidValueError for another number of factors, or one that is not finite or beyond `LARGEST_PX`."""
         if len(self.cosine_px) != HARMONICS or len(self.sine_px) != HARMONICS or not self.pixels_mm > 0.0:
             raise InvalidValueError("locking", self, f"{HARMONICS} pairs of factors over a disparity")
         if not all(abs(one) <= LARGEST_PX for one in (*self.cosine_px, *self.sine_px)):
@@ -60,6 +60,7 @@ def swings_mm(depth_mm: FloatArray, pixels_mm: float) -> FloatArray:
 
 
 def corrected(depth_mm: FloatArray, table_mm: FloatArray) -> FloatArray:
-    """Take the error off readings [mm], same shape; what lies outside of the table keeps its nearest error."""
+    """Take the error off readings [mm], same shape; beyond the table its nearest error. No reading (NaN) stays so."""
     place = (depth_mm - np.float32(TABLE_MM[0])) * np.float32(1.0 / TABLE_STEP_MM)
-    return np.asarray(depth_mm - table_mm[np.clip(place, 0.0, len(table_mm) - 1.0).astype(np.int32)])
+    inside = np.where(place > 0.0, np.minimum(place, np.float32(len(table_mm) - 1)), np.float32(0.0))
+    return np.asarray(depth_mm - table_mm[inside.astype(np.int32)])

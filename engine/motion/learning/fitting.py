@@ -70,7 +70,8 @@ def fit(
     stride_px = -(-ROI_ROWS // depth_mm.shape[1])
     locking = find_locking(depth_mm, valid, known, stride_px, components)
     if locking is not None:
-        depth_mm = corrected(depth_mm, locking.table_mm())
+        table_mm = locking.table_mm()
+        depth_mm = np.stack([corrected(frame, table_mm) for frame in depth_mm])  # one by one: little memory
     mean, centred, scores, eigenvalues = principal_components(depth_mm, valid, known, stride_px, components)
     shapes = smooth_shapes(centred, scores, known, stride_px, float(mean[known].mean()))
     noise_mm = _noise_mm(centred, scores, known, stride_px)

@@ -54,7 +54,9 @@ def find_locking(
             shares = np.clip((errors - CHANCE) / (CERTAIN - CHANCE), 0.0, 1.0)
         if not shares.any():
             return None
-        factors = np.clip(factors + np.tile(shares, 2) * found, -LARGEST_PX, LARGEST_PX)
+        factors = factors + np.tile(shares, 2) * found
+        if not np.abs(factors).max() <= LARGEST_PX:
+            return None  # no sensor's matching: something else moves with the phase
         curve = LockingCurve(
             pixels_mm=DISPARITY_MM_PX,
             cosine_px=tuple(factors[:HARMONICS].tolist()),

@@ -104,6 +104,15 @@ def test_the_table_takes_off_what_the_curve_says_and_keeps_its_end_beyond():
     off = depth - corrected(depth, table)
     assert off[1:4] == pytest.approx(error_mm[1:4], abs=0.02)
     assert (off[0], off[4]) == pytest.approx((table[0], table[-1]), abs=1e-3)
+    without = corrected(np.array([np.nan, 0.0, -np.inf, np.inf], dtype=np.float32), table)
+    assert np.isnan(without[0])
+    assert np.isfinite(without[1])
+
+
+def test_a_swing_beyond_what_a_matching_makes_is_not_taken_off(honest, monkeypatch):
+    depth, valid = honest
+    monkeypatch.setattr("engine.motion.learning.locking.LARGEST_PX", 0.02)
+    assert found(read(depth), valid) is None
 
 
 def test_a_curve_survives_the_model_s_file_and_one_without_is_read_as_none(honest, tmp_path):
@@ -118,7 +127,7 @@ def test_a_curve_survives_the_model_s_file_and_one_without_is_read_as_none(hones
 def test_a_file_with_an_impossible_curve_is_refused(honest, tmp_path):
     depth, valid = honest
     model = learn(read(depth), valid)
-    object.__setattr__(model.locking, "sine_px", (0.3, 0.0))
+    object.__setattr__(model.locking, "sine_px", (LARGEST_PX + 0.01, 0.0))
     save_model(model, tmp_path / "model.npz")
     with pytest.raises(ModelError, match=r"locking.sine_px"):
         load_model(tmp_path / "model.npz")
