@@ -44,13 +44,14 @@ def honest():
     return sloped()
 
 
-@pytest.mark.parametrize("at", [1.0, 0.4, -1.0])
-def test_a_common_error_is_found_within_a_tenth_of_a_step(honest, at):
+@pytest.mark.parametrize(("at", "most_mm"), [(1.0, 0.2), (0.4, 0.2), (-1.0, 0.2), (2.0, 0.35)])
+def test_a_common_error_is_found_within_a_part_of_a_step(honest, at, most_mm):
+    """The strongest is fitted well only after the components have given back their part of it."""
     depth, valid = honest
     curve = found(read(depth, at=at), valid)
     span_mm = np.arange(820.0, 930.0, 0.5)
     left_mm = curve.error_mm(span_mm) - at * CURVE.error_mm(span_mm)
-    assert np.sqrt(np.mean(np.square(left_mm))) < 0.2, "a step is 2.1 mm"
+    assert np.sqrt(np.mean(np.square(left_mm))) < most_mm, "a step is 2.1 mm"
 
 
 def test_a_sensor_without_such_an_error_gets_no_curve(honest):
