@@ -52,7 +52,7 @@ def _lines(settings: Settings, came_from: dict[str, str], *, changed: bool) -> I
         for name in sorted(one for one in shown if place_of(one)[0] == section):
             bounds = settings.qa_bounds_chosen if name == CHOSEN else {}
             yield from (f"{f'{key} = {bound:g}':<{WIDTH}}  # {came_from[name]}" for key, bound in bounds.items())
-            if not bounds:
+            if name != CHOSEN:
                 yield _line(name, values[name], came_from[name])
 
 

@@ -38,7 +38,8 @@ def read_config(path: Path, known: Mapping[str, object]) -> dict[str, Any]:
     SettingsError
         The file cannot be read, is no TOML, or has a section or key that is none of Tidegate's; one line each.
     """
-    names = {place_of(name): name for name in known if name not in ENVIRONMENT_ONLY}
+    names = {place_of(name): name for name in known if name not in ENVIRONMENT_ONLY | {CHOSEN}}
+    names |= {("qa", key): CHOSEN for key in KNOWN_BOUNDS}
     found: dict[str, Any] = {}
     wrong: list[str] = []
     for section, keys in _tables(path).items():
@@ -46,13 +47,13 @@ def read_config(path: Path, known: Mapping[str, object]) -> dict[str, Any]:
             wrong.append(f"{section} stands outside a section: {_where(section, names)}")
             continue
         for key, value in keys.items():
-            name = CHOSEN if section == "qa" and key in KNOWN_BOUNDS else names.get((section, key))
+            name = names.get((section, key))
             if name is None:
                 wrong.append(f"{section}.{key} is not a setting of Tidegate: {_where(key, names, section)}")
             elif isinstance(value, bool) and "bool" not in str(known[name]):
                 wrong.append(f"{section}.{key} is {str(value).lower()}: must be no truth value")
             else:
-                found[name] = found.get(name, {}) | {key: value} if key in KNOWN_BOUNDS else value
+                found[name] = found.get(name, {}) | {key: value} if name == CHOSEN else value
     if wrong:
         raise SettingsError("\n".join(f"{path}: {line}" for line in wrong))
     return found
@@ -94,8 +95,10 @@ def unknown_variables(names: Collection[str], known: Collection[str], allowed: C
         name = variable.upper().partition("_")[2].lower()
         if name in allowed or variable.upper() == CONFIG:
             continue
-        if name in known:
-            where = f"write {'.'.join(place_of(name))} into the file that {CONFIG} names"
+        bound = name.removeprefix("qa_")
+        if name in known or bound in KNOWN_BOUNDS:
+            place = ("qa", bound) if bound in KNOWN_BOUNDS else place_of(name)
+            where = f"write {'.'.join(place)} into the file that {CONFIG} names"
             lines.append(f"{variable} is not read from the environment: {where}")
         else:
             lines.append(f"{variable} is not a setting of Tidegate; mistyped?")

@@ -61,6 +61,9 @@ def test_the_file_s_values_are_the_settings_and_a_variable_counts_more(site, mon
         ("[gate]\nmax_gpa_ms = 3", r"gate.max_gpa_ms is not a setting of Tidegate: perhaps gate.max_gap_ms"),
         ("[gate]\nport = 3", "gate.port is not a setting of Tidegate: perhaps web.port"),
         ("[http]\nheader_s = 10", "http.header_s .*: limits of connections are no settings any more: remove"),
+        ("[qa]\ncamera_distance_warn = 2", "qa.camera_distance_warn .*perhaps .*qa.camera_distance_mm_warn"),
+        ("[qa]\nplate_noise_mm_warn = true", "qa.plate_noise_mm_warn is true: must be no truth value"),
+        ("[qa]\nbounds_chosen = {}", "qa.bounds_chosen is not a setting"),
         ("[gaet]\nmax_jump_mm = 3", "gaet.max_jump_mm is not a setting of Tidegate: perhaps gate.max_jump_mm"),
         ("port = 3", "port stands outside a section: perhaps web.port"),
         ("[site]\nframe_path = 'numpy'", "site.frame_path .*: it is read from TIDEGATE_FRAME_PATH only"),
@@ -96,10 +99,16 @@ def test_a_file_that_is_not_there_is_refused(monkeypatch, tmp_path):
         load_settings()
 
 
-@pytest.mark.parametrize("name", sorted(set(Settings.model_fields) - OVERRIDES))
+@pytest.mark.parametrize("name", sorted(set(Settings.model_fields) - OVERRIDES - {CHOSEN}))
 def test_what_no_variable_overrides_is_refused_there_with_its_place(monkeypatch, name):
     monkeypatch.setenv(f"{PREFIX}{name.upper()}", "1")
     with pytest.raises(SettingsError, match=f"write {'.'.join(place_of(name))} into the file that TIDEGATE_CONFIG"):
+        load_settings()
+
+
+def test_a_bound_of_qa_is_no_variable_either(monkeypatch):
+    monkeypatch.setenv("TIDEGATE_QA_PLATE_NOISE_MM_WARN", "1")
+    with pytest.raises(SettingsError, match=r"write qa.plate_noise_mm_warn into the file"):
         load_settings()
 
 
