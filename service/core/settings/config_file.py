@@ -95,10 +95,9 @@ def unknown_variables(names: Collection[str], known: Collection[str], allowed: C
         name = variable.upper().partition("_")[2].lower()
         if name in allowed or variable.upper() == CONFIG:
             continue
-        bound = name.removeprefix("qa_")
-        if name in known or bound in KNOWN_BOUNDS:
-            place = ("qa", bound) if bound in KNOWN_BOUNDS else place_of(name)
-            where = f"write {'.'.join(place)} into the file that {CONFIG} names"
+        if name in known or (bound := name.removeprefix("qa_")) in KNOWN_BOUNDS:
+            place = ".".join(place_of(name)) if name in known else f"qa.{bound}"
+            where = f"write {place} into the file that {CONFIG} names"
             lines.append(f"{variable} is not read from the environment: {where}")
         else:
             lines.append(f"{variable} is not a setting of Tidegate; mistyped?")
