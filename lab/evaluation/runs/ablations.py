@@ -34,7 +34,7 @@ from lab.phantom.truth import CELL_PX, load_truth
 RUNS = ("D02", "I03", "S01", "H01", "V01")
 Patches = Mapping[tuple[str, str], object]
 _PROJECTION = "engine.motion.stages.projection"
-_FITTING = "engine.motion.learning.fitting"
+_COMPONENTS = "engine.motion.learning.principal_components"
 _SMOOTHING = "engine.motion.learning.shape_smoothing"
 
 
@@ -97,8 +97,8 @@ VARIANTS = (
         patches={("engine.motion.learning.reference_transfer", "MIN_FRAMES"): 1000},
     ),
     Variant(name="one component", components=1),
-    Variant(name="three components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}, components=3),
-    Variant(name="six components in any case", patches={(_FITTING, "MIN_OVER_NOISE"): 0.0}),
+    Variant(name="three components in any case", patches={(_COMPONENTS, "MIN_OVER_NOISE"): 0.0}, components=3),
+    Variant(name="six components in any case", patches={(_COMPONENTS, "MIN_OVER_NOISE"): 0.0}),
 )
 
 

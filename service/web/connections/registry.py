@@ -56,7 +56,7 @@ class ConnectionRegistry:
 
     def add(self, key: object, connection: Connection, address: str | None) -> bool:
         """Register a new connection, replacing a waiting one if necessary; False if all are in use."""
-        address_key = self._counted_address(address)
+        address_key = UNKNOWN if address is None else plain(address)
         if not self._make_room(address_key):
             self.refusals.add("connections_full")
             return False
@@ -85,10 +85,6 @@ class ConnectionRegistry:
             if not self._by_address[address_key]:
                 del self._by_address[address_key]
 
-    def _counted_address(self, address: str | None) -> str:
-        """Return the address under which a connection is counted."""
-        return UNKNOWN if address is None else plain(address)
-
     def _make_room(self, address_key: str) -> bool:
         ours = self._by_address.get(address_key, {})
         if len(ours) >= self.limits.max_connections_per_address and not self._is_proxy(address_key):
@@ -114,13 +110,17 @@ class ConnectionRegistry:
     def _is_proxy(self, address_key: str) -> bool:
         return address_key != UNKNOWN and any(ipaddress.ip_address(address_key) in network for network in self._trusted)
 
-    def _schedule_check(self) -> None:
+    def _schedule_check(self, in_s: float = CHECK_PERIOD_S) -> None:
         if self._next_check is None:
-            self._next_check = asyncio.get_running_loop().call_later(CHECK_PERIOD_S, self._check_all)
+            self._next_check = asyncio.get_running_loop().call_later(in_s, self._check_all)
 
     def _check_all(self) -> None:
-        self._next_check = None
         now_s = _loop_time()
+        late_s = now_s - self._next_check.when() if self._next_check else 0.0
+        self._next_check = None
+        if late_s > CHECK_PERIOD_S:  # the server stood still, perhaps its clients too: they get that time as well
+            self._schedule_check(min(late_s, self.limits.header_s))
+            return
         for connections in list(self._by_address.values()):
             for connection in list(connections.values()):
                 how = connection.check(now_s)
