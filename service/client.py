@@ -1189,6 +1189,7 @@ class LiveReference(TypedDict):
     text: str
     tilt_deg: float | None
     turn_deg: float | None
+    uncertainty_mm: float | None
     unit: Literal["mm", "l"]
     unknown: NotRequired[str]
 

@@ -154,6 +154,9 @@ class MotionModel:
         [mm]; empty for a sensor without steps, None in models without them.
     locking
         The sensor's error that is common to all pixels, which the training found; None where there is none.
+    shape_errors
+        What is left of each component's error, root mean square over the points [mm for a coefficient of 1 mm], k of
+        them; None in models without them.
     provenance
         How good the training was, and where the model comes from.
     """
@@ -174,6 +177,7 @@ class MotionModel:
     residual_map_mm: FloatArray | None = None
     depth_steps: tuple[float, ...] | None = None
     locking: LockingCurve | None = None
+    shape_errors: tuple[float, ...] | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -193,15 +197,33 @@ class MotionModel:
         if scores is not None and (scores.shape[1:] != (len(self.components),) or not np.isfinite(scores).all()):
             msg = f"a model's scores are one number a component, all finite, not {scores.shape}"
             raise ModelError(msg)
+        self._check_numbers()
         maps = self._checked_maps()
-        steps = self.depth_steps
-        if steps is not None and len(steps) not in {0, DEPTH_STEPS}:
-            msg = f"a model's depth steps are {DEPTH_STEPS} numbers or none, not {len(steps)}"
-            raise ModelError(msg)
         arrays = (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm, self.scores_mm)
         for array in (*arrays, *maps):
             if array is not None:
                 frozen(array)
+
+    def _check_numbers(self) -> None:
+        errors, steps = self.shape_errors, self.depth_steps
+        if errors is not None and len(errors) != len(self.components):
+            msg = f"a model has one error a component, not {len(errors)}"
+            raise ModelError(msg)
+        if steps is not None and len(steps) not in {0, DEPTH_STEPS}:
+            msg = f"a model's depth steps are {DEPTH_STEPS} numbers or none, not {len(steps)}"
+            raise ModelError(msg)
+
+    def zero_error_mm(self, coefficients: FloatArray) -> float:
+        """Return the standard uncertainty of a reference at these coefficients, shape (k,) or longer [mm].
+
+        The reference lies so far from the middle of the training, and each component errs by its share of that way:
+        the motion of a point is wrong by as much in every frame. NaN for a model without its components' errors.
+        """
+        if self.shape_errors is None:
+            return float("nan")
+        k = len(self.components)
+        noise_mm = self.noise_mm * np.sqrt(k / self.mean_mm.size)
+        return float(np.hypot(np.linalg.norm(coefficients[:k] * np.array(self.shape_errors)), noise_mm))
 
     def _checked_maps(self) -> tuple[FloatArray | None, ...]:
         maps = (self.sample_raw_mm, self.sample_reconstructed_mm, self.residual_map_mm)

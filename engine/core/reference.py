@@ -65,6 +65,8 @@ class ReferenceDistance:
         Each gated signal of the reference, against the first one; the window's first signal first.
     correction
         How far the window was moved since the reference was set [mm, l of the volume], along its first signal.
+    uncertainty_mm
+        Standard uncertainty of the reference itself, of the first one too: what it adds to every point's motion.
     unknown
         Why the distance is not known; empty where it is.
     """
@@ -77,6 +79,7 @@ class ReferenceDistance:
     shape_mm: float = math.nan
     levels: tuple[SignalLevel, ...] = ()
     correction: float = 0.0
+    uncertainty_mm: float = math.nan
     unknown: str = ""
 
     @property

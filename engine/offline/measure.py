@@ -9,6 +9,7 @@ the device's.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -266,10 +267,16 @@ def _saved(
         passes=passes,
         live_from_frame=found.live_from,
         segments=found.segments,
+        reference_uncertainty_mm=_known(learner.learned.reference),
         **_duty(run.limits, learner),
     )
     summary.save(run.out / "motion_summary.json")
     return summary
+
+
+def _known(reference: Reference | None) -> float | None:
+    uncertainty_mm = math.nan if reference is None else reference.uncertainty_mm
+    return round(uncertainty_mm, 4) if math.isfinite(uncertainty_mm) else None
 
 
 def _duty(limits: GateLimits | None, learner: Learner) -> dict[str, Any]:

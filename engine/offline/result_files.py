@@ -114,6 +114,8 @@ class OfflineSummary:
         Why a session would refuse to arm with this window; None if it would not.
     segments
         Stretches in which patient, couch and camera stay where they are.
+    reference_uncertainty_mm
+        Standard uncertainty of the reference: what it adds to a point's motion in every frame; None if not known.
     """
 
     frames: int
@@ -138,6 +140,7 @@ class OfflineSummary:
     predicted_duty_percent: float | None = None
     duty_refusal: str | None = None
     segments: tuple[SegmentSummary, ...] = ()
+    reference_uncertainty_mm: float | None = None
 
     def save(self, path: Path) -> None:
         """Write the summary as JSON, atomically; the same values give the same bytes."""

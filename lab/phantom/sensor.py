@@ -224,16 +224,17 @@ class SensorModel:
 
 
 SENSORS = {
+    # Noise as `tidegate evaluate sensor --fit` finds it in 24 frames of a Carmine (evaluation.md).
     "usual": SensorModel(
-        noise_shifts=0.34,
-        noise_parts=((0.22, 0.0), (0.43, 1.1), (0.35, 2.1)),
+        noise_shifts=0.41,
+        noise_parts=((0.07, 0.0), (0.44, 1.0), (0.49, 2.9)),
         pattern_shifts=0.2,
         pattern_blur_px=3.0,
     ),
-    # 0.35 mm at 0.85 m, where a step is 2.1 mm, and a constant part of the same size.
+    # Noise with the reach of a Kinect's, and locking of 0.35 mm at 0.85 m, where a step is 2.1 mm.
     "locking": SensorModel(
-        noise_shifts=0.364,
-        noise_parts=((0.331, 0.0), (0.459, 2.1), (0.195, 3.0), (0.015, 6.0)),
+        noise_shifts=0.45,
+        noise_parts=((0.13, 0.0), (0.26, 1.35), (0.61, 3.2)),
         pattern_shifts=0.166,
         pattern_blur_px=3.0,
         locking_shifts=0.166,
@@ -271,17 +272,16 @@ SENSORS["active-stereo-rough"] = replace(SENSORS["active-stereo"], noise_shifts=
 def drawn_sensor(number: int) -> SensorModel:
     """Draw a structured-light sensor from the ranges between cameras; the same number gives the same sensor.
 
-    Noise and its reach are those of two public recordings, of a Kinect and a Carmine (sd 0.8 to 1.0 mm at 0.8 m,
-    correlation 0.02 to 0.15 at 8 px), and of our own two models. The strength of locking, which such recordings are too
+    Noise and its reach span what `tidegate evaluate sensor` finds in two public recordings, of a Kinect and a Carmine. The strength of locking, which such recordings are too
     short to show, is drawn from none to one and a half times that of ``locking``, the same at every pixel or not.
     """
     rng = np.random.default_rng((number, 57))
-    white = rng.uniform(0.2, 0.4)
-    near = rng.uniform(0.35, 0.5)
+    white = rng.uniform(0.05, 0.25)
+    near = rng.uniform(0.25, 0.45)
     rows, columns = rng.integers(5, 12), rng.integers(7, 22)
     return SensorModel(
-        noise_shifts=rng.uniform(0.25, 0.45),
-        noise_parts=((white, 0.0), (near, rng.uniform(1.0, 1.6)), (1.0 - white - near, rng.uniform(1.8, 2.6))),
+        noise_shifts=rng.uniform(0.34, 0.52),
+        noise_parts=((white, 0.0), (near, rng.uniform(0.9, 1.5)), (1.0 - white - near, rng.uniform(2.4, 3.3))),
         pattern_shifts=rng.uniform(0.1, 0.25),
         pattern_blur_px=3.0,
         locking_shifts=rng.uniform(0.0, 0.25),
@@ -351,13 +351,13 @@ class Sensor:
     Parameters
     ----------
     model
-        Name of the sensor model, one of `SENSORS`.
+        The sensor model, or the name of one.
     """
 
-    def __init__(self, unit: Unit, seed: int, model: str = USUAL) -> None:
+    def __init__(self, unit: Unit, seed: int, model: str | SensorModel = USUAL) -> None:
         self._unit = unit
         self._seed = seed
-        self._model = find_sensor(model)
+        self._model = find_sensor(model) if isinstance(model, str) else model
         self._table = depth_table_mm()
         rng = np.random.default_rng((seed, 3))
         self._bank = [_correlated_field(rng, self._model) for _ in range(_BANK)]

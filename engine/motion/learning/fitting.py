@@ -73,11 +73,15 @@ def fit(
         table_mm = locking.table_mm()
         depth_mm = np.stack([corrected(frame, table_mm) for frame in depth_mm])  # one by one: little memory
     mean, centred, scores, eigenvalues = principal_components(depth_mm, valid, known, stride_px, components)
-    shapes = smooth_shapes(centred, scores, known, stride_px, float(mean[known].mean()))
+    shapes = smooth_shapes(centred, scores, known, stride_px, mean)
     noise_mm = _noise_mm(centred, scores, known, stride_px)
+    surfaces = [_on_grid(shape.surface, stride_px) for shape in shapes]
     return MotionModel(
         mean_mm=_on_grid(fill_unknown(mean, known), stride_px),
-        components=_orthonormal(np.array([_on_grid(shape, stride_px) for shape in shapes])),
+        components=_orthonormal(np.array(surfaces)),
+        shape_errors=tuple(
+            shape.error_mm / float(np.linalg.norm(surface)) for shape, surface in zip(shapes, surfaces, strict=True)
+        ),
         eigenvalues_mm2=eigenvalues * stride_px**2,
         known=np.repeat(np.repeat(known, stride_px, axis=0), stride_px, axis=1)[:ROI_ROWS, :ROI_COLUMNS].copy(),
         noise_mm=noise_mm,

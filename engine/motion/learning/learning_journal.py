@@ -99,7 +99,7 @@ def match_figures(patient_match: PatientMatch) -> Figures:
 
 def distance_figures(distance: ReferenceDistance) -> Figures:
     """Return how far a reference lies from the fraction's first; None where that is not known."""
-    names = ("shift_mm", "height_mm", "turn_deg", "tilt_deg", "shape_mm")
+    names = ("shift_mm", "height_mm", "turn_deg", "tilt_deg", "shape_mm", "uncertainty_mm")
     levels = {f"level_{one.choice.label}_{one.choice.unit}": _known(one.level) for one in distance.levels}
     total_mm = distance.distance_mm
     return {

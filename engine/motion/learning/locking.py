@@ -71,9 +71,9 @@ def _fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Fit the curve once; return its factors, shape (2 HARMONICS,), and each harmonic's size in standard errors."""
     mean, centred, scores, _ = principal_components(depth_mm, valid, known, STRIDE_PX, components)
-    shapes = smooth_shapes(centred, scores, known, STRIDE_PX, float(mean[known].mean()))
+    shapes = smooth_shapes(centred, scores, known, STRIDE_PX, mean)
     points, inside = known.ravel(), valid.reshape(len(valid), -1)[:, known.ravel()]
-    smooth_mm = mean[known] + scores @ np.stack([shape.ravel()[points] for shape in shapes])
+    smooth_mm = mean[known] + scores @ np.stack([shape.surface.ravel()[points] for shape in shapes])
     left_mm = np.clip(_nonlinear(centred[:, points], scores), -LARGEST_RESIDUAL_MM, LARGEST_RESIDUAL_MM) * inside
     swings = [_nonlinear(one, scores) * inside for one in swings_mm(smooth_mm, DISPARITY_MM_PX)]
     gram = np.array([[patches @ (one * other).sum(axis=0) for other in swings] for one in swings]).transpose(2, 0, 1)

@@ -113,6 +113,8 @@ def header_text(model: MotionModel) -> str:
         header["depth_steps"] = list(model.depth_steps)
     if model.locking is not None:
         header["locking"] = asdict(model.locking)
+    if model.shape_errors is not None:
+        header["shape_errors"] = list(model.shape_errors)
     return json.dumps(header, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -141,7 +143,7 @@ def _typed(name: str, array: npt.NDArray[Any], dtype: type[np.generic]) -> npt.N
 def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel:
     if isinstance(document, dict) and document.get("schema") != SCHEMA:
         raise InvalidValueError("schema", document.get("schema"), SCHEMA)
-    header = _JSON.fields(ROOT, document, required=_REQUIRED, optional=("depth_steps", "locking"))
+    header = _JSON.fields(ROOT, document, required=_REQUIRED, optional=("depth_steps", "locking", "shape_errors"))
     components, eigenvalues = arrays["components"], arrays["eigenvalues_mm2"]
     if components.ndim != 3 or not 1 <= len(components) <= MAX_COMPONENTS:
         raise InvalidValueError("components", components.shape, f"1 to {MAX_COMPONENTS} surfaces")
@@ -159,6 +161,7 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
         noise_mm=_JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
         depth_steps=_depth_steps(header["depth_steps"]) if "depth_steps" in header else None,
         locking=_locking(header["locking"]) if "locking" in header else None,
+        shape_errors=_shape_errors(header["shape_errors"], len(components)) if "shape_errors" in header else None,
         provenance=_provenance(header),
     )
 
@@ -171,6 +174,10 @@ def _locking(document: object) -> LockingCurve:
     )
     pixels_mm = _JSON.number("locking.pixels_mm", found["pixels_mm"], *PIXELS_BOUNDS_MM)
     return LockingCurve(pixels_mm=pixels_mm, cosine_px=cosine_px, sine_px=sine_px)
+
+
+def _shape_errors(value: object, components: int) -> tuple[float, ...]:
+    return tuple(_JSON.vector("shape_errors", value, components, 0.0, 1.0))
 
 
 def _depth_steps(value: object) -> tuple[float, ...]:

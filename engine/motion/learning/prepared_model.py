@@ -8,6 +8,7 @@ measured. A sampled point stands for the pixels of the grid that are nearest to 
 know counts as unseen. The weights of the cells are separable, so all shares take a few matrix products per frame.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,6 +163,8 @@ class Reference:
         How much of every region was seen when it was set, 0 to 1; the rest was extrapolated.
     surface_mm
         The region's surface at its nodes in the depth camera's frame [mm], shape (nodes, 3).
+    uncertainty_mm
+        Its standard uncertainty, root mean square over the points [mm]; NaN where the model does not know its errors.
     """
 
     regions_mm: FloatArray
@@ -169,6 +172,7 @@ class Reference:
     volume_l: float
     seen_shares: FloatArray
     surface_mm: FloatArray
+    uncertainty_mm: float = math.nan
 
     def volume_above_l(self, surface: FloatArray) -> float:
         """Volume of a surface relative to the reference [l]; vertices of shape (nodes, 3) [mm]."""
@@ -235,6 +239,7 @@ class PreparedModel:
             volume_l=volume_l(surface, _TRIANGLES, plane_mm),
             seen_shares=seen_shares,
             surface_mm=frozen(surface),
+            uncertainty_mm=self.model.zero_error_mm(coefficients),
         )
 
 

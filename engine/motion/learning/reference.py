@@ -6,6 +6,7 @@ measured frame takes it up. Until a person has set one, motion counts from the f
 armed.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -151,6 +152,12 @@ class PatientReference:
             self._journal.emit(LearningEventKind.ZERO_NEEDED, detail, distance_figures(self.distance))
             return
         detail = FIRST if first is not None else say("the reference lies {text}", text=self.distance.text)
+        if math.isfinite(reference.uncertainty_mm):
+            detail = say(
+                "{detail}; its uncertainty is {uncertainty_mm:.2f} mm",
+                detail=detail,
+                uncertainty_mm=reference.uncertainty_mm,
+            )
         figures = {**distance_figures(self.distance), **position_figures(self.position_check)}
         self._journal.emit(LearningEventKind.REFERENCE_SET, detail, figures, first)
 

@@ -289,6 +289,7 @@ def _measured(
         tilt_deg=float(np.rad2deg(np.linalg.norm(turned - turn * normal))),
         shape_mm=rigid.shape_mm,
         levels=levels,
+        uncertainty_mm=reference.uncertainty_mm,
     )
 
 

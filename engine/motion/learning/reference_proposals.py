@@ -205,6 +205,7 @@ class ReferenceProposals:
             volume_l=float(np.mean([one.volume_l for one in references])),
             seen_shares=frozen(np.min([one.seen_shares for one in references], axis=0)),
             surface_mm=frozen(np.mean([one.surface_mm for one in references], axis=0)),
+            uncertainty_mm=max(one.uncertainty_mm for one in references),
         )
 
     def proposals(self, ranges: Ranges, now_us: int) -> tuple[ReferenceProposal, ...]:

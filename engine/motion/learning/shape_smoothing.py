@@ -11,7 +11,6 @@ Gaussian), so it attenuates structures of the body less than a Gaussian of equal
 """
 
 import itertools
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -34,18 +33,30 @@ POINTS = 64
 MOVING_SHARE = 0.4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ShapeErrors:
-    """Energy of the errors of raw components in each band [mm^2 summed over the points], shape (k, bands).
+class ShapeErrors(NamedTuple):
+    """Likely energy of the errors of raw components [mm^2 summed over the points].
 
     Attributes
     ----------
+    noise, locking
+        In each band and in what is wider, shape (k, bands + 1).
     locking_ratio
         Energy of the curvature over that of noise in the finest band; 1 without locking.
     """
 
-    energy: FloatArray
+    noise: FloatArray
+    locking: FloatArray
     locking_ratio: float
+
+
+class SmoothShape(NamedTuple):
+    """A smoothed component on the grid, and the error that is left of it: root mean square over the points.
+
+    Both are in mm for a score of one.
+    """
+
+    surface: FloatArray
+    error_mm: float
 
 
 class Bands:
@@ -70,8 +81,9 @@ class Bands:
         return [fine - wide for fine, wide in itertools.pairwise(levels)], levels[-1]
 
     def energy(self, values: FloatArray, at: BoolArray | slice = slice(None)) -> FloatArray:
-        """Return the energy of (m,) values in each band at all points or at some, shape (bands,)."""
-        return np.array([float(np.square(band[self._known][at]).sum()) for band in self.split(values)[0]])
+        """Return the energy of (m,) values in each band and in the rest, at all or some points, shape (bands + 1,)."""
+        fine, wide = self.split(values)
+        return np.array([float(np.square(band[self._known][at]).sum()) for band in (*fine, wide)])
 
     def _twice(self, surface: FloatArray, sigma: float) -> FloatArray:
         once = gaussian(surface, sigma)
@@ -79,8 +91,8 @@ class Bands:
 
 
 def smooth_shapes(
-    centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int, depth_mm: float
-) -> list[FloatArray]:
+    centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int, mean: FloatArray
+) -> list[SmoothShape]:
     """Map scores back to components and smooth these.
 
     Parameters
@@ -91,17 +103,21 @@ def smooth_shapes(
         Scores of the frames, orthonormal columns, shape (n, k), the largest component first.
     known
         Known points of the thinned grid.
-    depth_mm
-        Mean depth of the region.
+    mean
+        Mean surface [mm], on the thinned grid.
     """
+    depth_mm = float(mean[known].mean())
     bands = Bands(known, stride_px)
     sums = weighted_sums(centred, scores, known)
     parts = [bands.split(shape) for shape in sums.even + sums.odd]
     errors = estimate_errors(sums, scores, [wide[known] for _, wide in parts], bands, depth_mm)
     shapes = []
-    for (fine, wide), error in zip(parts, errors.energy, strict=True):
-        kept = kept_shares(np.array([float(np.square(band[known]).sum()) for band in fine]), error)
-        shapes.append(np.asarray(wide + np.tensordot(kept, np.stack(fine), axes=1)))
+    for (fine, wide), noise, locking in zip(parts, errors.noise, errors.locking, strict=True):
+        total, likely = np.array([float(np.square(band[known]).sum()) for band in fine]), noise + locking
+        kept = kept_shares(total, (noise + CAUTION * locking)[:-1])
+        lost = (1.0 - kept) ** 2 @ np.maximum(total - likely[:-1], 0.0)
+        left_mm = np.sqrt((kept**2 @ likely[:-1] + lost + likely[-1]) / np.count_nonzero(known))
+        shapes.append(SmoothShape(np.asarray(wide + np.tensordot(kept, np.stack(fine), axes=1)), float(left_mm)))
     return shapes
 
 
@@ -137,13 +153,14 @@ def estimate_errors(
     noise = np.array([bands.energy(one - other) for one, other in zip(sums.even, sums.odd, strict=True)])
     # Where the most motion is, locking is bent the most against the same noise.
     moving = np.abs(wide[0]) >= np.quantile(np.abs(wide[0]), 1.0 - MOVING_SHARE)
-    bent = bands.energy(sums.bent, moving)[0]
-    unbent = bands.energy(sums.even[0] - sums.odd[0], moving)[0]
-    ratio = float(bent / max(unbent, 1e-9))
+    bents = bands.energy(sums.bent, moving)
+    unbents = bands.energy(sums.even[0] - sums.odd[0], moving)
+    ratio = float(bents[0] / max(unbents[0], 1e-9))
     certainty = float(np.clip((ratio - CERTAINLY_NOISE) / (CERTAINLY_LOCKING - CERTAINLY_NOISE), 0.0, 1.0))
-    locking = CAUTION * certainty * max(float(bent - unbent), 0.0)
     gains = _gains(scores, _curvature(scores), wide, moving, depth_mm)
-    return ShapeErrors(energy=noise + locking * gains[:, None] * LOCKING_BANDS, locking_ratio=ratio)
+    energy = certainty * (bents - unbents)[0] * LOCKING_BANDS
+    locking = np.maximum([*energy, (bents - unbents)[-1]], 0.0) * gains[:, None]
+    return ShapeErrors(noise=noise, locking=locking, locking_ratio=ratio)
 
 
 def _curvature(scores: FloatArray) -> FloatArray:

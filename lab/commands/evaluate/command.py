@@ -2,7 +2,7 @@
 
 from lab.commands.evaluate.bench import bench
 from lab.commands.evaluate.breathing import breathing, gate
-from lab.commands.evaluate.integrity import ablations, budget, draws, integrity
+from lab.commands.evaluate.integrity import ablations, budget, draws, integrity, sensor
 from lab.commands.evaluate.laser import laser, plane
 from lab.commands.evaluate.spirometer import spirometer
 from service.cli.command_group import command_group
@@ -19,4 +19,5 @@ evaluate.command("breathing")(breathing)
 evaluate.command("integrity")(integrity)
 evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
+evaluate.command("sensor")(sensor)
 evaluate.command("spirometer")(spirometer)

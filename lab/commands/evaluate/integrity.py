@@ -1,15 +1,18 @@
 """``tidegate evaluate integrity``: falsified recordings, and what of them is reported as measured.
 
 ``tidegate evaluate ablations``: the effect of each part of the method; ``budget``: the share of each cause of error.
+``tidegate evaluate sensor``: what readings of still surfaces say of a camera.
 """
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from engine.core.bounds import check_whole_number
@@ -212,7 +215,7 @@ def draws(
     scenario: Annotated[list[str] | None, typer.Option(help="Kinds of breathing; regular and isovolume.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
 ) -> None:
-    """Measure the same breathing on sensors drawn from the ranges between cameras, with and without locking curve."""
+    """Measure the same breathing on sensors drawn from the ranges between cameras, whole, live and by a simple way."""
     from lab.evaluation.runs.bench import check_jobs
     from lab.evaluation.runs.datasets import SECONDS, check_plan
     from lab.evaluation.runs.draws import measure_all, runs, table
@@ -229,3 +232,38 @@ def draws(
                 raise InvalidValueError("scenario", name, ", ".join(SCENARIOS))
         found = measure_all(runs(seed, first, number, kinds), work or out / "work", jobs)
         _write(table(found), out)
+
+
+def sensor(
+    recording: Annotated[
+        Path, typer.Argument(help="Recording of a structured-light camera with still surfaces.", metavar="REC.oni")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for sensor.csv.")],
+    model: Annotated[
+        list[str] | None, typer.Option(help="Sensor model beside it; repeatable. usual and locking by default.")
+    ] = None,
+    *,
+    is_fitted: Annotated[
+        bool, typer.Option("--fit", help="Fit a model's noise to the recording; takes some minutes.")
+    ] = False,
+) -> None:
+    """Print what a camera's readings of still surfaces say of its errors, beside sensor models on the same surfaces."""
+    from engine.capture.recording_source import OniFileSource
+    from engine.core.clock import ManualClock
+    from lab.evaluation.playback import decoded_frames
+    from lab.evaluation.sensor_statistics import MOST_FRAMES, ROUNDS, fit_sensor, simulated, statistics_of, table
+    from lab.phantom.sensor import find_sensor
+
+    with _refusing("sensor", out):
+        models = {name: find_sensor(name) for name in model or ("usual", "locking")}
+        source = OniFileSource(recording, clock=ManualClock(), is_helped=False)
+        frames = [frame.depth_mm for frame in islice(decoded_frames(source), MOST_FRAMES)]
+        depth_mm = np.array(frames, dtype=np.float32)
+        columns = {"recording": statistics_of(depth_mm)}
+        if is_fitted:
+            with frame_bar() as bar:
+                models["fitted"] = fit_sensor(
+                    depth_mm, partial(advance, bar, bar.add_task("fitting the noise", total=ROUNDS))
+                )
+            say(f"Fitted: {models['fitted']}")
+        _write(table(columns | {name: statistics_of(simulated(depth_mm, one)) for name, one in models.items()}), out)

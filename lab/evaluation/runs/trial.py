@@ -191,8 +191,8 @@ class _Trial:
     ) -> None:
         n = len(truth.timestamp_us)
         self._truth, self._laser = truth, laser
-        self._ours = _TidegateSide(calibration, settings.pipeline(), n)
-        self._one_component = _TidegateSide(calibration, settings.pipeline(1), n) if run.is_long else None
+        self._ours = TidegateSide(calibration, settings.pipeline(), n)
+        self._one_component = TidegateSide(calibration, settings.pipeline(1), n) if run.is_long else None
         self._plain = _PlainSide(run, calibration, settings, n)
         self._lowered_mm = np.array([run.lowered_mm(time_s) for time_s in truth.timestamp_us * 1e-6])
         # The oracle knows where the patient lies, not where the couch went.
@@ -249,7 +249,7 @@ class _Trial:
         )
 
 
-class _TidegateSide:
+class TidegateSide:
     """Tidegate's pipeline, unmodified."""
 
     def __init__(self, calibration: Calibration, settings: PipelineSettings, frames: int) -> None:
@@ -261,6 +261,7 @@ class _TidegateSide:
         self._reasons: Counter[str] = Counter()
 
     def add_frame(self, frame: RgbdFrame) -> Measurement:
+        """Measure the next frame, and keep what was measured."""
         measurement = self.pipeline.measure(frame)
         self.state[frame.index] = _STATES[measurement.state]
         if measurement.reason is not None:
@@ -280,10 +281,12 @@ class _TidegateSide:
         )
 
     def spectrum(self) -> dict[str, FloatArray]:
+        """Return the model's spectrum by name; empty without a model."""
         model = self.pipeline.learner.status.model
         return {} if model is None else {"ours": model.spectrum[:EIGENVALUES].copy()}
 
     def notes(self) -> dict[str, object]:
+        """Return why frames were lost, and what the model learned from."""
         model = self.pipeline.learner.status.model
         learned = {} if model is None else {"training_frames": model.training_frames, "cycles": model.cycles}
         return {"lost": dict(self._reasons), **learned}

@@ -264,6 +264,8 @@ def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
         f"{model}), {summary.measured} measured, {summary.lost} lost. The camera dropped {summary.missed_frames} more. "
         f"{_live_from(summary)}{_duty(summary)}Written to {task.out}"
     )
+    if summary.reference_uncertainty_mm is not None:
+        say(f"The reference adds {summary.reference_uncertainty_mm:.2f} mm to a point's motion (standard uncertainty).")
     for segment in summary.segments if len(summary.segments) > 1 else ():
         say(_segment(segment))
     for note in _notes(summary, task):

@@ -265,6 +265,9 @@ class LiveReference(Message):
     turn_deg: float | None = Field(description="Rigid rotation in the surface's plane")
     tilt_deg: float | None = Field(description="Rigid rotation out of that plane")
     shape_mm: float | None = Field(description="What a rigid movement leaves, root mean square")
+    uncertainty_mm: float | None = Field(
+        description="Standard uncertainty of the reference: what it adds to every point's motion; null if not known"
+    )
     level: float | None = Field(description="Level of the first gated signal, with the correction, in `unit`")
     correction: float = Field(description="Baseline correction of the window since the reference was set, in `unit`")
     unit: Literal["mm", "l"] = Field(description="Unit of `level` and `correction`")

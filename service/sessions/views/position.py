@@ -3,6 +3,8 @@
 Proposed references, and the distance of the one in use from the fraction's first, for people and programs.
 """
 
+import math
+
 from engine.control import LiveView, PositionState
 from engine.core.learning_status import LearningStatus
 from engine.core.position_check import Degree, PositionCheck, PositionTolerance
@@ -110,7 +112,7 @@ def live_reference(view: LiveView) -> LiveReference | None:
     if found is None:
         return None
     level = found.corrected_levels[0].level if found.corrected_levels else None
-    names = ("moved_mm", "shift_mm", "height_mm", "turn_deg", "tilt_deg", "shape_mm")
+    names = ("moved_mm", "shift_mm", "height_mm", "turn_deg", "tilt_deg", "shape_mm", "uncertainty_mm")
     return LiveReference(
         text=reference_text(found),
         distance_mm=_rounded(found.distance_mm),
@@ -128,7 +130,10 @@ def reference_text(found: ReferenceDistance) -> str:
     """Return the distance as it is displayed."""
     if found.distance_mm is None:
         return say("reference at an unknown distance from the fraction's first")
-    return say("reference {distance_mm:.1f} mm from the fraction's first", distance_mm=found.distance_mm)
+    text = say("reference {distance_mm:.1f} mm from the fraction's first", distance_mm=found.distance_mm)
+    if not math.isfinite(found.uncertainty_mm):
+        return text
+    return say("{text}, uncertain by {uncertainty_mm:.1f} mm", text=text, uncertainty_mm=found.uncertainty_mm)
 
 
 def _rounded(value: float | None) -> float | None:

@@ -42,6 +42,7 @@ def model():
         seconds=16.5,
         calibration_sha256="ab" * 32,
         surface_mm=random.uniform(-200.0, 900.0, (756, 3)),
+        shape_errors=(2e-4, 5e-3),
         provenance=Provenance(quality=QUALITY, settings={"components": 2, "min_seconds": 10.0}, origin=ORIGIN),
     )
 
@@ -115,6 +116,8 @@ def test_a_failed_write_leaves_neither_a_model_nor_half_of_one(model, tmp_path, 
         ("seconds", float("nan")),
         ("training_frames", 10**9),
         ("calibration_sha256", "AB" * 32),
+        ("shape_errors", [0.1]),
+        ("shape_errors", [0.1, -0.1]),
         ("calibration_sha256", "../../etc/passwd"),
         ("quality.explained_share", 1.01),
         ("quality.amplitude_mm", -1.0),
@@ -216,3 +219,11 @@ def test_an_origin_of_unprintable_or_endless_texts_cannot_be_made():
     for text in ("a\nb", "x" * 201, 3):
         with pytest.raises(InvalidValueError, match="patient"):
             ModelOrigin(patient=text)
+
+
+def test_a_reference_is_as_uncertain_as_it_lies_far_from_the_middle_of_the_training(model):
+    at_rest_mm, away_mm, other_mm = (model.zero_error_mm(np.array(at)) for at in ([0, 0], [900, 0, 5], [900, 60, 0]))
+    assert 0.0 < at_rest_mm < 0.03
+    assert away_mm == pytest.approx(np.hypot(0.18, at_rest_mm))
+    assert other_mm == pytest.approx(np.hypot(0.3, away_mm))
+    assert np.isnan(replace(model, shape_errors=None).zero_error_mm(np.zeros(2)))

@@ -35,11 +35,15 @@ def readings(locking_mm, noise_mm=0.5, seed=4):
     return centred, (score / np.linalg.norm(score)).astype(np.float32)[:, None]
 
 
-def shape_error_mm(centred, scores):
-    """Root mean square error of the smoothed component [mm per unit of the signal], away from the edges."""
-    (shape,) = smooth_shapes(centred, scores, KNOWN, 2, DEPTH_MM)
+def errors_mm(centred, scores):
+    """True and stated error of the smoothed component [mm per unit of the signal], the true one off the edges."""
+    ((shape, stated_mm),) = smooth_shapes(centred, scores, KNOWN, 2, np.full(KNOWN.shape, DEPTH_MM))
     unit = float(np.linalg.norm(SIGNAL - SIGNAL.mean()))
-    return float(np.sqrt(np.square(shape / unit - BREATH_MM)[8:-8, 8:-8].mean()))
+    return float(np.sqrt(np.square(shape / unit - BREATH_MM)[8:-8, 8:-8].mean())), stated_mm / unit
+
+
+def shape_error_mm(centred, scores):
+    return errors_mm(centred, scores)[0]
 
 
 def ratio_of(centred, scores):
@@ -71,6 +75,12 @@ def test_locking_is_smoothed_away_although_it_repeats_in_every_breath(locked, mo
     smoothed = shape_error_mm(*locked)
     monkeypatch.setattr("engine.motion.learning.shape_smoothing.CAUTION", 0.0)
     assert smoothed < 0.65 * shape_error_mm(*locked)
+
+
+@pytest.mark.parametrize("kind", ["clean", "locked"])
+def test_the_error_that_is_left_is_stated(kind, request):
+    true_mm, stated_mm = errors_mm(*request.getfixturevalue(kind))
+    assert true_mm / 2.0 < stated_mm < 2.0 * true_mm
 
 
 def test_the_bands_add_up_to_the_finest_smoothing():

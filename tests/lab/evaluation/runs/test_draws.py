@@ -3,10 +3,9 @@
 import pytest
 from typer.testing import CliRunner
 
-from engine.motion.learning import fitting
 from lab.commands.evaluate.command import evaluate
 from lab.evaluation.runs import draws
-from lab.evaluation.runs.draws import DrawnErrors, measure, runs, table
+from lab.evaluation.runs.draws import LONG_S, DrawnErrors, measure, runs, table
 
 
 def test_each_draw_has_each_kind_of_breathing_once_on_a_sensor_of_its_own():
@@ -18,27 +17,28 @@ def test_each_draw_has_each_kind_of_breathing_once_on_a_sensor_of_its_own():
     assert not any(run.has_instruments for run in planned)
 
 
-def test_a_recording_is_measured_with_the_curve_left_on_then_taken_off(tmp_path, monkeypatch):
-    found = []
+def test_only_what_is_judged_live_is_long():
+    regular, isovolume = runs(2017, 0, 1, ("regular", "isovolume"))
+    assert regular.seconds == LONG_S > isovolume.seconds
+
+
+def test_a_recording_is_measured_whole_live_and_by_the_simple_method(tmp_path, regular_volunteer, monkeypatch):
     monkeypatch.setattr(draws, "make_dataset", lambda *_: None)
-    monkeypatch.setattr(
-        draws, "_errors", lambda _folder: found.append(fitting.find_locking) or (float(len(found)),) * 3
-    )
-    one = measure(runs(2017, 0, 1, ("regular",))[0], tmp_path)
-    assert (one.left_on[0], one.taken_off[0]) == (1.0, 2.0)
-    assert found[0] is not found[1] is fitting.find_locking
-    assert found[0]() is None
+    monkeypatch.setattr(draws, "SETTLED_US", 5_000_000)
+    one = measure(runs(2017, 0, 1, ("regular",))[0], regular_volunteer)
+    assert 0.02 < one.constants_out_mm < one.whole_mm < one.smoothed_mm < 0.3
+    assert one.whole_mm / 1.5 < one.live_mm < 2.5 * one.whole_mm
+    assert one.whole_mm / 1.5 < one.settled_mm < 1.5 * one.whole_mm
+    assert one.stated_mm / 2.5 < one.reference_mm < 2.5 * one.stated_mm
+    assert 0.005 < one.gain_sd < 0.1
 
 
 def test_the_table_ends_each_kind_of_breathing_with_its_mean_and_its_worst():
-    found = [
-        DrawnErrors(run=run, left_on=(0.2 + at, 0.1, 0.05), taken_off=(0.1, 0.05, 0.02 + at))
-        for at, run in enumerate(runs(2017, 0, 2, ("regular",)))
-    ]
+    found = [DrawnErrors(runs(2017, at, 1, ("regular",))[0], *(0.1 * at + 0.01 * i for i in range(8))) for at in (0, 1)]
     made = table(found)
     assert [row[0] for row in made.rows] == ["drawn-0", "drawn-1", "mean", "worst"]
-    assert made.rows[2][2:] == pytest.approx((0.7, 0.1, 0.05, 0.1, 0.05, 0.52))
-    assert made.rows[3][2:] == pytest.approx((1.2, 0.1, 0.05, 0.1, 0.05, 1.02))
+    assert made.rows[2][2:] == pytest.approx([0.05 + 0.01 * i for i in range(8)])
+    assert made.rows[3][2:] == pytest.approx([0.1 + 0.01 * i for i in range(8)])
 
 
 @pytest.mark.parametrize(
