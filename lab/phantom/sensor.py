@@ -9,11 +9,11 @@ one of the two models below.
 Noise comes from a bank of fields made once: each frame adds two of them with random offsets, flips and signs, which is
 many times faster than new fields; no two frames use the same pair.
 
-There are two models of the same sensor, so that a method is not tuned to the errors of one. ``usual`` is fitted to
-three real recordings. ``locking`` has the noise of two others, which is correlated over a longer distance, and *pixel
-locking*: the matching of structured light prefers certain sub-pixel positions, which differ from place to place. This
-error is fixed to the pixel. Its period is one pixel of disparity, 8 steps; the matching window makes it smooth over 9
-px. Over the depth range of a breath it is a wrong local gain, the same in every breath.
+There are two models of the same sensor, so that a method is not tuned to the errors of one. The noise of ``usual`` is
+fitted to a Carmine's recording. ``locking`` has noise with the reach of a Kinect's, and *pixel locking*: the matching of
+structured light prefers certain sub-pixel positions, which differ from place to place. This error is fixed to the pixel.
+Its period is one pixel of disparity, 8 steps; the matching window makes it smooth over 9 px. Over the depth range of a
+breath it is a wrong local gain, the same in every breath.
 
 Two further models are of other kinds of sensors, each figure with its source in `KINDS_OF_ERROR`:
 
@@ -272,8 +272,9 @@ SENSORS["active-stereo-rough"] = replace(SENSORS["active-stereo"], noise_shifts=
 def drawn_sensor(number: int) -> SensorModel:
     """Draw a structured-light sensor from the ranges between cameras; the same number gives the same sensor.
 
-    Noise and its reach span what `tidegate evaluate sensor` finds in two public recordings, of a Kinect and a Carmine. The strength of locking, which such recordings are too
-    short to show, is drawn from none to one and a half times that of ``locking``, the same at every pixel or not.
+    Noise and its reach span what `tidegate evaluate sensor` finds in two public recordings, of a Kinect and a Carmine.
+    The strength of locking, which these are too short to show, is drawn from none to one and a half times that of
+    ``locking``, the same at every pixel or not.
     """
     rng = np.random.default_rng((number, 57))
     white = rng.uniform(0.05, 0.25)

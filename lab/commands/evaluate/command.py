@@ -2,7 +2,7 @@
 
 from lab.commands.evaluate.bench import bench
 from lab.commands.evaluate.breathing import breathing, gate
-from lab.commands.evaluate.integrity import ablations, budget, draws, integrity, sensor
+from lab.commands.evaluate.integrity import ablations, budget, draws, integrity, sensor, tune
 from lab.commands.evaluate.laser import laser, plane
 from lab.commands.evaluate.spirometer import spirometer
 from service.cli.command_group import command_group
@@ -21,3 +21,4 @@ evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
 evaluate.command("sensor")(sensor)
 evaluate.command("spirometer")(spirometer)
+evaluate.command("tune")(tune)

@@ -206,32 +206,65 @@ def budget(
         _write(table(found), out)
 
 
+Out = Annotated[Path, typer.Option(help="Folder for the table, as CSV.")]
+Work = Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")]
+Seed = Annotated[int, typer.Option(help="Seed of the recordings.")]
+First = Annotated[int, typer.Option(help="Number of the first drawn sensor.")]
+Number = Annotated[int, typer.Option("--draws", help="How many sensors are drawn.")]
+Kinds = Annotated[list[str] | None, typer.Option("--scenario", help="Kinds of breathing; regular and isovolume.")]
+Jobs = Annotated[int, typer.Option(help="Processes.")]
+
+
 def draws(
-    out: Annotated[Path, typer.Option(help="Folder for draws.csv.")],
-    work: Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the recordings.")] = 2017,
-    first: Annotated[int, typer.Option(help="Number of the first drawn sensor.")] = 0,
-    number: Annotated[int, typer.Option("--draws", help="How many sensors are drawn.")] = 10,
-    scenario: Annotated[list[str] | None, typer.Option(help="Kinds of breathing; regular and isovolume.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
+    out: Out,
+    work: Work = None,
+    seed: Seed = 2017,
+    first: First = 0,
+    number: Number = 10,
+    scenario: Kinds = None,
+    jobs: Jobs = 2,
 ) -> None:
     """Measure the same breathing on sensors drawn from the ranges between cameras, whole, live and by a simple way."""
-    from lab.evaluation.runs.bench import check_jobs
-    from lab.evaluation.runs.datasets import SECONDS, check_plan
     from lab.evaluation.runs.draws import measure_all, runs, table
-    from lab.phantom.sensor import MOST_DRAWN
 
     with _refusing("draws", out):
-        check_plan(seed, SECONDS)
-        check_jobs(jobs)
-        check_whole_number("draws", number, 1, MOST_DRAWN)
-        check_whole_number("first", first, 0, MOST_DRAWN - number)
-        kinds = tuple(scenario or ("regular", "isovolume"))
-        for name in kinds:
-            if name not in SCENARIOS:
-                raise InvalidValueError("scenario", name, ", ".join(SCENARIOS))
-        found = measure_all(runs(seed, first, number, kinds), work or out / "work", jobs)
-        _write(table(found), out)
+        kinds = _checked_draws(seed, first, number, scenario, jobs)
+        _write(table(measure_all(runs(seed, first, number, kinds), work or out / "work", jobs)), out)
+
+
+def tune(
+    out: Out,
+    work: Work = None,
+    seed: Seed = 2017,
+    first: First = 100,
+    number: Number = 3,
+    scenario: Kinds = None,
+    jobs: Jobs = 2,
+) -> None:
+    """Choose the constants of the measurement again on a part of drawn sensors, and judge them on the others."""
+    from lab.evaluation.runs.datasets import SECONDS
+    from lab.evaluation.runs.draws import runs
+    from lab.evaluation.runs.tuning import table, tune_all
+
+    with _refusing("tune", out):
+        kinds = _checked_draws(seed, first, number, scenario, jobs)
+        _write(table(tune_all(runs(seed, first, number, kinds, SECONDS), work or out / "work", jobs)), out)
+
+
+def _checked_draws(seed: int, first: int, number: int, scenario: list[str] | None, jobs: int) -> tuple[str, ...]:
+    """Return the kinds of breathing; raise InvalidValueError naming what is out of bounds."""
+    from lab.evaluation.runs.bench import check_jobs
+    from lab.evaluation.runs.datasets import SECONDS, check_plan
+    from lab.phantom.sensor import MOST_DRAWN
+
+    check_plan(seed, SECONDS)
+    check_jobs(jobs)
+    check_whole_number("draws", number, 1, MOST_DRAWN)
+    check_whole_number("first", first, 0, MOST_DRAWN - number)
+    for name in scenario or ():
+        if name not in SCENARIOS:
+            raise InvalidValueError("scenario", name, ", ".join(SCENARIOS))
+    return tuple(scenario or ("regular", "isovolume"))
 
 
 def sensor(

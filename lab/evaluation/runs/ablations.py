@@ -33,9 +33,9 @@ from lab.phantom.truth import CELL_PX, load_truth
 
 RUNS = ("D02", "I03", "S01", "H01", "V01")
 Patches = Mapping[tuple[str, str], object]
-_PROJECTION = "engine.motion.stages.projection"
-_COMPONENTS = "engine.motion.learning.principal_components"
-_SMOOTHING = "engine.motion.learning.shape_smoothing"
+PROJECTION = "engine.motion.stages.projection"
+COMPONENTS = "engine.motion.learning.principal_components"
+SMOOTHING = "engine.motion.learning.shape_smoothing"
 
 
 def _filtered_fit(depth_mm: FloatArray, valid: BoolArray, **settings: object) -> MotionModel:
@@ -74,31 +74,31 @@ VARIANTS = (
     ),
     Variant(
         name="components smoothed by 4 px only",
-        patches={(_SMOOTHING, "kept_shares"): lambda total, _: np.ones_like(total, dtype=np.float32)},
+        patches={(SMOOTHING, "kept_shares"): lambda total, _: np.ones_like(total, dtype=np.float32)},
     ),
     Variant(
         name="components smoothed by 32 px",
-        patches={(_SMOOTHING, "kept_shares"): lambda total, _: np.zeros_like(total, dtype=np.float32)},
+        patches={(SMOOTHING, "kept_shares"): lambda total, _: np.zeros_like(total, dtype=np.float32)},
     ),
-    Variant(name="pixel locking not estimated", patches={(_SMOOTHING, "CAUTION"): 0.0}),
-    Variant(name="modes with the noise of 24 px squares", patches={(_PROJECTION, "NOISE_OF_MODES"): 1.0}),
+    Variant(name="pixel locking not estimated", patches={(SMOOTHING, "CAUTION"): 0.0}),
+    Variant(name="modes with the noise of 24 px squares", patches={(PROJECTION, "NOISE_OF_MODES"): 1.0}),
     Variant(
         name="training frames through the bilateral filter",
         patches={("engine.motion.learning.tasks", "fit"): _filtered_fit},
     ),
-    Variant(name="components alone, no cosines", patches={(_PROJECTION, "PRIOR_SPREADS_MM"): (1e-3,)}),
-    Variant(name="cosines under one wide prior", patches={(_PROJECTION, "PRIOR_SPREADS_MM"): (3.0,)}),
+    Variant(name="components alone, no cosines", patches={(PROJECTION, "PRIOR_SPREADS_MM"): (1e-3,)}),
+    Variant(name="cosines under one wide prior", patches={(PROJECTION, "PRIOR_SPREADS_MM"): (3.0,)}),
     Variant(
         name="40 cosines instead of 24",
-        patches={(_PROJECTION, "COSINE_ROWS"): 8, (_PROJECTION, "COSINE_COLUMNS"): 5},
+        patches={(PROJECTION, "COSINE_ROWS"): 8, (PROJECTION, "COSINE_COLUMNS"): 5},
     ),
     Variant(
         name="reference from a single frame",
         patches={("engine.motion.learning.reference_transfer", "MIN_FRAMES"): 1000},
     ),
     Variant(name="one component", components=1),
-    Variant(name="three components in any case", patches={(_COMPONENTS, "MIN_OVER_NOISE"): 0.0}, components=3),
-    Variant(name="six components in any case", patches={(_COMPONENTS, "MIN_OVER_NOISE"): 0.0}),
+    Variant(name="three components in any case", patches={(COMPONENTS, "MIN_OVER_NOISE"): 0.0}, components=3),
+    Variant(name="six components in any case", patches={(COMPONENTS, "MIN_OVER_NOISE"): 0.0}),
 )
 
 

@@ -62,14 +62,14 @@ class DrawnErrors:
     settled_mm: float
 
 
-def runs(seed: int, first: int, draws: int, scenarios: tuple[str, ...]) -> list[Run]:
-    """Return one run of each scenario on each drawn sensor."""
+def runs(seed: int, first: int, draws: int, scenarios: tuple[str, ...], long_s: float = LONG_S) -> list[Run]:
+    """Return one run of each scenario on each drawn sensor; regular ones are long [s]."""
     planned = []
     for number in range(first, first + draws):
         chosen = {run.scenario: run for run in reversed(accuracy_plan(seed, sensor=f"{DRAWN}{number}"))}
         for scenario in scenarios:
             run = replace(chosen[scenario], has_instruments=False)
-            planned.append(replace(run, seconds=LONG_S) if scenario == LIVE else run)
+            planned.append(replace(run, seconds=long_s) if scenario == LIVE else run)
     return planned
 
 

@@ -174,10 +174,10 @@ def test_session_and_stream_show_the_distance(client, session_id, running):
     assert client.get(f"{URL}/{session_id}").json()["reference"] is None
     running.frame()
     assert client.get(f"{URL}/{session_id}").json()["reference"] is None
-    running.latest = replace(running.latest, reference_distance=LOWERED)
+    running.latest = replace(running.latest, reference_distance=replace(LOWERED, uncertainty_mm=0.0912))
     shown = client.get(f"{URL}/{session_id}").json()["reference"]
     assert shown == {
-        "text": "reference 2.8 mm from the fraction's first",
+        "text": "reference 2.8 mm from the fraction's first, uncertain by 0.1 mm",
         "distance_mm": 2.8,
         "budget_mm": 2.0,
         "is_beyond": True,
@@ -187,6 +187,7 @@ def test_session_and_stream_show_the_distance(client, session_id, running):
         "turn_deg": 0.2,
         "tilt_deg": 0.3,
         "shape_mm": 0.1,
+        "uncertainty_mm": 0.091,
         "level": -2.8,
         "correction": -0.3,
         "unit": "mm",
