@@ -10,10 +10,10 @@ Noise comes from a bank of fields made once: each frame adds two of them with ra
 many times faster than new fields; no two frames use the same pair.
 
 There are two models of the same sensor, so that a method is not tuned to the errors of one. The noise of ``usual`` is
-fitted to a Carmine's recording. ``locking`` has noise with the reach of a Kinect's, and *pixel locking*: the matching of
-structured light prefers certain sub-pixel positions, which differ from place to place. This error is fixed to the pixel.
-Its period is one pixel of disparity, 8 steps; the matching window makes it smooth over 9 px. Over the depth range of a
-breath it is a wrong local gain, the same in every breath.
+fitted to a Carmine's recording. ``locking`` has noise with the reach of a Kinect's, and *pixel locking*: the matching
+of structured light prefers certain sub-pixel positions, which differ from place to place. This error is fixed to the
+pixel. Its period is one pixel of disparity, 8 steps; the matching window makes it smooth over 9 px. Over the depth
+range of a breath it is a wrong local gain, the same in every breath.
 
 Two further models are of other kinds of sensors, each figure with its source in `KINDS_OF_ERROR`:
 

@@ -24,6 +24,7 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 
 REFERENCE_SET = "session.reference"
+UNSEEN = say("none sees a cover of the skin's colour below 3 mm, or one half of the body that rises 4 mm in 15 s")
 NO_PREDICTION = say("not compared with free breathing: see that its edges are those of a held breath")
 NOT_COMPARED = say("a recording does not say which camera made it: see that the calibration is that camera's")
 NO_QA = say("no QA is required here")
@@ -147,7 +148,8 @@ class ArmingSummaries:
         if not detail.checks:
             return ArmingItem(code="checks", state="attention", text=say("not known before the reference is set"))
         if not silent:
-            return ArmingItem(code="checks", state="ok", text=listed(", ", (word(one.name) for one in detail.checks)))
+            working = listed(", ", (word(one.name) for one in detail.checks))
+            return ArmingItem(code="checks", state="ok", text=listed("; ", (working, UNSEEN)))
         return ArmingItem(
             code="checks",
             state="attention",
