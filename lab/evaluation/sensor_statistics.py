@@ -22,7 +22,8 @@ BANDS_MM = ((500.0, 700.0), (700.0, 900.0), (900.0, 1300.0))
 BLOCK_PX = 8
 MOST_TREND_MM, MOST_STEP_MM = 0.15, 1.5
 """Of a block's mean: most trend in a frame, and most step between two frames."""
-LEAST_FRAMES, MOST_FRAMES = 8, 200
+LEAST_FRAMES, MOST_FRAMES = 8, 24
+"""Of more frames noise alone makes a step in every block."""
 LEAST_PIXELS = 1000
 IN_TIME, IN_SPACE, SQUARES_PX = (1, 2, 3), (1, 2, 4, 8), (1, 2, 4, 8, 16, 32)
 SURFACE_PX = 12.0

@@ -31,6 +31,13 @@ WIDTH = 200
 
 
 SCENARIOS = ("regular", "irregular", "shift", "dibh", "isovolume", "drift")
+Out = Annotated[Path, typer.Option(help="Folder for the table, as CSV.")]
+Work = Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")]
+Seed = Annotated[int, typer.Option(help="Seed of the recordings.")]
+First = Annotated[int, typer.Option(help="Number of the first drawn sensor.")]
+Number = Annotated[int, typer.Option("--draws", help="How many sensors are drawn.")]
+Kinds = Annotated[list[str] | None, typer.Option("--scenario", help="Kinds of breathing; regular and isovolume.")]
+Jobs = Annotated[int, typer.Option(help="Processes.")]
 
 
 def integrity(
@@ -204,15 +211,6 @@ def budget(
                 folder = (work or out / "work") / f"{run.name}-budget"
                 found.append(split(run, folder, partial(_count, bar, task)))
         _write(table(found), out)
-
-
-Out = Annotated[Path, typer.Option(help="Folder for the table, as CSV.")]
-Work = Annotated[Path | None, typer.Option(help="Folder of the recordings; OUT/work by default.")]
-Seed = Annotated[int, typer.Option(help="Seed of the recordings.")]
-First = Annotated[int, typer.Option(help="Number of the first drawn sensor.")]
-Number = Annotated[int, typer.Option("--draws", help="How many sensors are drawn.")]
-Kinds = Annotated[list[str] | None, typer.Option("--scenario", help="Kinds of breathing; regular and isovolume.")]
-Jobs = Annotated[int, typer.Option(help="Processes.")]
 
 
 def draws(
