@@ -15,7 +15,6 @@ from engine.capture.recording_source import OniFileSource
 from engine.core.clock import ManualClock
 from engine.core.frames import BoolArray, FloatArray
 from engine.core.native_process import keep_calls_in_their_thread
-from engine.motion.learning.model_file import load_model
 from lab.evaluation.methods.outcome import Track
 from lab.evaluation.methods.smoothed import SmoothedPca
 from lab.evaluation.playback import decoded_frames
@@ -78,12 +77,10 @@ def measure(run: Run, folder: Path) -> DrawnErrors:
     keep_calls_in_their_thread()
     make_dataset(run, folder, lambda _done, _total: None)
     truth, calibration = load_truth(folder / "truth.npz"), load_calibration(folder / "calibration.json")
-    whole, _ = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us))
+    whole, summary = measured_whole(folder, calibration, TrialSettings().pipeline(), len(truth.timestamp_us))
     live, smoothed = _one_by_one(folder, calibration, len(truth.timestamp_us))
     errors_mm, depth_mm = _errors_mm(truth, whole), truth.cell_depth_mm[whole.is_measured]
     whole_mm, constants_out_mm, _ = cell_errors_mm(errors_mm[whole.is_measured], depth_mm)
-    begun = whole.reference
-    assert begun is not None, "a recording without a model has raised"
     settled = live.is_measured & whole.is_measured
     settled &= truth.timestamp_us >= SETTLED_US + truth.timestamp_us[live.reference or 0]
     return DrawnErrors(
@@ -93,7 +90,7 @@ def measure(run: Run, folder: Path) -> DrawnErrors:
         constants_out_mm=constants_out_mm,
         gain_sd=float(cell_gains(errors_mm[whole.is_measured], depth_mm).std()),
         reference_mm=float(np.sqrt(np.nanmean(np.square(errors_mm[whole.is_measured].mean(axis=0))))),
-        stated_mm=load_model(folder / "model.npz").zero_error_mm(np.nan_to_num(whole.beta[begun])),
+        stated_mm=summary.reference_uncertainty_mm or float("nan"),
         live_mm=_mean_mm(_errors_mm(truth, live), settled),
         settled_mm=_mean_mm(errors_mm, settled),
     )

@@ -26,7 +26,6 @@ from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import measure_recording
 from engine.offline.result_files import fingerprint
-from engine.offline.segments import SegmentSummary
 from lab.evaluation.instruments.instruments import LaserSide, add_spirometer
 from lab.evaluation.methods.oracle import FIELDS, Oracle, true_modes
 from lab.evaluation.methods.outcome import COEFFICIENTS, LOST, MEASURING, TRAINING, Outcome, Track
@@ -138,8 +137,8 @@ def measure_run(
     outcome = trial.outcome()
     if run.is_measured_whole:
         found = measured_whole(folder, calibration, chosen.pipeline(), len(truth.timestamp_us))
-        outcome.tracks["offline"], segments = found
-        outcome.notes["segments"] = [{"first_frame": one.first_frame, "cause": one.cause} for one in segments]
+        outcome.tracks["offline"], summary = found
+        outcome.notes["segments"] = [{"first_frame": one.first_frame, "cause": one.cause} for one in summary.segments]
     if not run.is_sweep:
         lag_s = truth.spirometer_lag_s
         add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
@@ -148,11 +147,11 @@ def measure_run(
 
 def measured_whole(
     folder: Path, calibration: Calibration, settings: PipelineSettings, frames: int, model: MotionModel | None = None
-) -> tuple[Track, tuple[SegmentSummary, ...]]:
+) -> tuple[Track, OfflineSummary]:
     """Measure a recording as `tidegate measure` does: every frame, by a model of all of it or by a stored one.
 
-    Returns what was measured, and the segments in which patient, couch and camera stay where they are. The model that
-    measured is written to ``model.npz`` of the folder, unless it was given.
+    Returns what was measured, and its summary. The model that measured is written to ``model.npz`` of the folder, unless
+    it was given.
     """
     track, passes = Track.empty(frames), [0]
 
@@ -173,7 +172,7 @@ def measured_whole(
         )
         if model is None:
             shutil.copy(Path(out) / MODEL_FILE, folder)
-    return track, summary.segments
+    return track, summary
 
 
 def _write(track: Track, index: int, motion: Motion) -> None:
