@@ -25,7 +25,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import measure_recording
-from engine.offline.result_files import fingerprint
+from engine.offline.result_files import OfflineSummary, fingerprint
 from lab.evaluation.instruments.instruments import LaserSide, add_spirometer
 from lab.evaluation.methods.oracle import FIELDS, Oracle, true_modes
 from lab.evaluation.methods.outcome import COEFFICIENTS, LOST, MEASURING, TRAINING, Outcome, Track
@@ -150,8 +150,8 @@ def measured_whole(
 ) -> tuple[Track, OfflineSummary]:
     """Measure a recording as `tidegate measure` does: every frame, by a model of all of it or by a stored one.
 
-    Returns what was measured, and its summary. The model that measured is written to ``model.npz`` of the folder, unless
-    it was given.
+    Returns what was measured, and its summary. The model that measured is written to ``model.npz`` of the folder,
+    unless it was given.
     """
     track, passes = Track.empty(frames), [0]
 
