@@ -116,24 +116,72 @@ def test_a_summary_that_cannot_be_read_again_arms_nothing(fake: FakeService, ste
 
 @pytest.mark.parametrize(
     ("after", "kind"),
-    [
-        (sample(gate="hold"), "hold"),
-        (DISARMED | {"session_id": "99" * 16}, "disarmed"),
-        (None, "stale"),
-    ],
-    ids=["armed by another", "another session", "stale"],
+    [(sample(gate="hold"), "hold"), (DISARMED | {"session_id": "99" * 16}, "disarmed")],
+    ids=["armed by another", "another session"],
 )
 def test_it_closes_where_it_is_no_longer_what_would_be_armed(
-    fake: FakeService, stepped: SteppedPage, after: dict | None, kind: str
+    fake: FakeService, stepped: SteppedPage, after: dict, kind: str
 ):
     page = opened(stepped)
     stepped.advance(2_000)
-    if after is None:
-        fake.mode = "silent"
-    else:
-        fake.sample = after
+    fake.sample = after
     stepped.advance_until(lambda: stepped.kind == kind and page.locator("#arming").is_hidden(), within_ms=1_000)
     assert armings(fake) == []
+
+
+def test_a_late_picture_leaves_it_open_and_has_to_be_looked_at_again(fake: FakeService, stepped: SteppedPage):
+    page = opened(stepped)
+    stepped.advance(2_000)
+    page.focus("#do-arm-now")
+    fake.mode = "silent"
+    stepped.advance_until(lambda: stepped.kind == "stale" and page.locator("#do-arm-now").is_disabled())
+    expect(page.locator("#arming-why")).to_have_text("The picture was late: look again.")
+    fake.mode = "samples"
+    stepped.advance_until(lambda: stepped.kind == "disarmed")
+    stepped.advance(1_500)
+    expect(page.locator("#do-arm-now")).to_be_disabled()
+    stepped.advance(1_000)
+    page.click("#do-arm-now")
+    stepped.advance(STEP_MS)
+    assert len(armings(fake)) == 1
+
+
+def test_every_line_is_looked_at_where_not_all_are_in_view(fake: FakeService, stepped: SteppedPage):
+    stepped.page.set_viewport_size({"width": 1024, "height": 700})
+    page = opened(stepped)
+    stepped.advance(2_500)
+    expect(page.locator("#do-arm-now")).to_be_disabled()
+    expect(page.locator("#arming-why")).to_have_text("Look at every line first: scroll to the last one.")
+    scroll = (
+        "(share) => { const list = document.querySelector('#arming'); list.scrollTop = share * 2000; }"
+    )
+    for share in range(21):
+        page.evaluate(scroll, share / 20)
+        stepped.advance(STEP_MS)
+    stepped.advance(2_200)
+    expect(page.locator("#do-arm-now")).to_be_enabled()
+
+
+def test_nothing_arms_while_the_trace_shows_edges_that_are_not_applied(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open_settled(DISARMED)
+    page.click("#do-window")
+    stepped.advance(STEP_MS)
+    expect(page.locator("#do-arm")).to_be_enabled()
+    page.fill("#window-editor [name=upper]", "2.4")
+    stepped.advance(STEP_MS)
+    expect(page.locator("#do-arm")).to_be_disabled()
+    expect(page.locator("#do-arm")).to_have_attribute(
+        "title", "Not now: apply the window on the trace first, or cancel it"
+    )
+    page.click("#window-cancel")
+    stepped.advance(STEP_MS)
+    expect(page.locator("#do-arm")).to_be_enabled()
+    page.click("#do-window")
+    stepped.advance_until(lambda: page.locator("[aria-disabled]").count() == 0)
+    page.click("#do-arm")
+    stepped.advance(STEP_MS)
+    expect(page.locator("#arming")).to_be_visible()
+    expect(page.locator("#window-editor")).to_be_hidden()  # over one band only
 
 
 def test_it_closes_after_a_minute(stepped: SteppedPage):

@@ -201,9 +201,11 @@ def test_stale_data_prove_no_step(fake: FakeService, stepped: SteppedPage):
     running(fake, has_reference=False)
     page = stepped.open_settled(fake.sample)
     stepped.advance_until(lambda: page.locator("#steps").is_visible())
+    before = page.locator("#do-hold").bounding_box()
     fake.mode = "silent"
-    stepped.advance_until(lambda: stepped.kind == "stale" and page.locator("#steps").is_hidden())
-    assert marked(page) == []
+    stepped.advance_until(lambda: stepped.kind == "stale" and marked(page) == [])
+    expect(page.locator("#steps")).to_have_attribute("data-stale", "yes")
+    assert page.locator("#do-hold").bounding_box() == before  # nothing moves under a hand
 
 
 def test_a_person_who_may_not_run_sessions_sees_no_steps(fake: FakeService, tab: Tab):

@@ -83,6 +83,13 @@ const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}
 const searched = (limit, search, cursor = null) => new URLSearchParams({ limit, ...(search === "" ? {} : { search }), ...(cursor === null ? {} : { cursor }) });
 export const listSessions = (limit, search = "", cursor = null) => call("GET", `/sessions?${searched(limit, search, cursor)}`);
 export const readSession = (id) => call("GET", session(id));
+/** Id of the session that runs, for a page that has not seen one yet; an error where none does. */
+export async function runningId() {
+  const { items } = await listSessions(20);
+  const found = items.find((one) => one.status === "running");
+  if (found === undefined) throw new ApiError(409, { code: "session_state", detail: tr("controls.no_running_session") });
+  return found.id;
+}
 export const createSession = (request) => call("POST", "/sessions", request, once());
 export const listPlans = (search = "") => call("GET", `/plans?${searched(50, search)}`);
 export const prepareSession = (planId, request) => call("POST", `/plans/${encodeURIComponent(planId)}/sessions`, request, once());

@@ -73,7 +73,7 @@ const trace = new Trace(byId("trace-frame"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"), (atMs) => trace.lookAt(atMs));
-const controls = new Controls(() => lookAgain(), (id, head) => arming.open(id, head), () => closeTopmost());
+const controls = new Controls(() => lookAgain(), (id, head) => openArming(id, head), () => closeTopmost());
 const arming = new ArmingPanel(byId("arming"), controls);
 const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
 const alarms = new AlarmPanel(byId("alarms"), controls);
@@ -324,6 +324,12 @@ function fraction({ fraction_id: id, fraction_number: number }) {
   return number === null || number === undefined ? id : tr("main.fraction_no", { id, number });
 }
 
+/** Show what would be armed; the trace then has one band only. */
+function openArming(id, head) {
+  windowEditor.close();
+  arming.open(id, head);
+}
+
 /** Update everything that can become stale; called by a timer and by every animation frame. */
 function render() {
   const nowMs = performance.now();
@@ -345,8 +351,8 @@ function render() {
   renderLamps(sample);
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
-  controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
-  arming.update(view.isCurrent ? running : null, nowMs);
+  controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null, isWindowEdited: windowEditor.isChanged });
+  arming.update(view.isCurrent ? running : null, view.kind === "idle", nowMs);
   if (view.isCurrent) windowEditor.update(running, session, controls.forbids("window"), nowMs);
   else windowEditor.wait(controls.forbids("window"));
   setText(byId("gate-by"), armedText(sample));
@@ -402,7 +408,7 @@ function drawPanels(nowMs, view, sample) {
   renderBody(sample?.body_warning ?? session?.body?.warning);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
-  steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session });
+  steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session, isWindowEdited: windowEditor.isChanged });
   renderWho(view);
   renderTraceValue(sample);
   tables.tend(sample, session, nowMs);

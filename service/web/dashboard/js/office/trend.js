@@ -13,6 +13,7 @@ const SVG = "http://www.w3.org/2000/svg";
 /** @param {{title: string, unit: string, sidedness: string, items: object[]}} trend the newest run first or last */
 export function trendPicture(trend) {
   const runs = trend.items.filter((one) => one.value !== null).toSorted((a, b) => a.at.localeCompare(b.at));
+  if (runs.length === 0) return [part("p", tr("office.no_value_in_runs", { count: trend.items.length }))];
   const limits = runs.flatMap((one) => (trend.sidedness === "absolute" ? [middle(one) - one.fail, middle(one) + one.fail] : [0, one.fail]));
   const [low, high] = [Math.min(...limits, ...runs.map((one) => one.value)), Math.max(...limits, ...runs.map((one) => one.value))];
   const span = high - low || 1;

@@ -64,26 +64,58 @@ export class ArmingPanel {
     return wasOpen;
   }
 
-  /** Close where what is shown is no longer what would be armed; call it whenever the page is drawn. */
-  update(sample, nowMs) {
+  /**
+   * Close where another session runs, or this one is armed; a late picture disables. Call it whenever the page is drawn.
+   *
+   * @param {?object} sample null while the picture is late
+   * @param {boolean} isOver whether no session runs, which is known
+   */
+  update(sample, isOver, nowMs) {
     if (!this.isOpen) return;
-    if (sample === null || sample.session_id !== this.id || sample.is_armed || nowMs - this.openedMs > CLOSE_MS) {
+    if (isOver || (sample !== null && (sample.session_id !== this.id || sample.is_armed)) || nowMs - this.openedMs > CLOSE_MS) {
       this.close();
       return;
     }
-    if (nowMs - this.readMs > READ_MS) this.#read();
-    setText(byId("arming-edges"), edgesText(sample.window));
-    const isIgnored = this.guard.update(nowMs, this.key);
-    const lacksReason = this.summary?.needs_reason === true && this.reason.value.trim() === "";
-    this.button.disabled = this.summary?.is_ready !== true || lacksReason || this.controls.isBusy;
+    if (sample !== null && nowMs - this.readMs > READ_MS) this.#read();
+    if (sample !== null) setText(byId("arming-edges"), edgesText(sample.window));
+    // What was late is looked at again: another content for the guard.
+    if (sample === null) this.lates += this.isLate ? 0 : 1;
+    this.isLate = sample === null;
+    const isIgnored = this.guard.update(nowMs, this.#looked);
+    const obstacle = this.#obstacle();
+    this.button.disabled = this.summary?.is_ready !== true || obstacle !== "" || this.controls.isBusy;
     if (isIgnored && !this.button.disabled) this.button.setAttribute("aria-disabled", "true");
     else this.button.removeAttribute("aria-disabled");
     const why = this.summary === null ? "" : this.summary.is_ready ? (isIgnored ? tr("arming.look_at_each_line_first") : "") : tr("arming.something_is_missing");
-    setText(byId("arming-why"), this.trouble || (lacksReason ? tr("arming.give_the_reason") : why));
+    setText(byId("arming-why"), this.trouble || obstacle || why);
+  }
+
+  /** What was looked at: the summary, and how often the picture was late since it was opened. */
+  get #looked() {
+    return `${this.lates} ${this.key}`;
+  }
+
+  /** Why this person may not arm what is shown yet, though it is complete; empty if they may. */
+  #obstacle() {
+    if (this.controls.isWindowEdited) return tr("controls.apply_the_window_or_cancel_it");
+    if (this.isLate) return tr("arming.the_picture_is_late_look_again");
+    if (this.summary?.needs_reason === true && this.reason.value.trim() === "") return tr("arming.give_the_reason");
+    return this.#isAllSeen() ? "" : tr("arming.scroll_to_the_last_line");
+  }
+
+  /** Whether every line was in view, above the buttons, since the summary changed. */
+  #isAllSeen() {
+    const top = Math.max(this.root.getBoundingClientRect().top, 0);
+    const bottom = Math.min(this.button.parentElement.getBoundingClientRect().top, window.innerHeight);
+    for (const line of this.unseen) {
+      const place = line.getBoundingClientRect();
+      if (place.top >= top - 1 && place.bottom <= bottom + 1) this.unseen.delete(line);
+    }
+    return this.unseen.size === 0;
   }
 
   #forget() {
-    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity });
+    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false, unseen: new Set() });
     byId("arming-items").replaceChildren();
     byId("arming-reason-field").hidden = true;
     this.countersigning.hidden = true;
@@ -123,6 +155,7 @@ export class ArmingPanel {
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...groupsOf(summary.items.filter((one) => one.code !== "patient")));
+    this.unseen = new Set(byId("arming-items").querySelectorAll("dl div"));
   }
 
   /** Sign what is shown, as the second person; the password leaves the page's fields in any case. */
@@ -141,7 +174,7 @@ export class ArmingPanel {
 
   #press(event) {
     // A click that was meant for the button at this place before, or the second one of two.
-    if (this.guard.refusal(event, this.key) !== "" || this.button.disabled) return;
+    if (this.guard.refusal(event, this.#looked) !== "" || this.button.disabled) return;
     if (!this.presses.isConfirmed(event)) return;
     const { id, head, etag } = this;
     const { state } = this.summary;

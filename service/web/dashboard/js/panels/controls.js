@@ -5,7 +5,7 @@
  * they work with one click or their key whenever a running session is known, with or without a fresh connection.
  */
 
-import { act, applyModel, retrain, setReference, signPosition } from "../api.js";
+import { act, applyModel, retrain, runningId, setReference, signPosition } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
@@ -59,7 +59,7 @@ const DONE = {
 
 /** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
 const OBSTACLES = {
-  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || isInPlace(c) || positionObstacle(c.sample.position_check) || hasHead(c),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || isApplied(c) || isInPlace(c) || positionObstacle(c.sample.position_check) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : tr("controls.no_operator_holds_the_beam")),
   reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c) || isSetUp(c),
   sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
@@ -76,6 +76,7 @@ const running = (c) => (c.sample === null ? tr("controls.no_running_session") : 
 const still = (c) => (c.sample.is_armed ? tr("controls.disarm_first") : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? tr("controls.the_stored_model_is_still_being_compared") : "");
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? tr("controls.set_the_reference_first") : "");
+const isApplied = (c) => (c.isWindowEdited ? tr("controls.apply_the_window_or_cancel_it") : "");
 /** In clinical mode a person confirms stickers and chest before the session's first reference. */
 const isSetUp = (c) => (c.selected?.mode !== "clinical" || !needsReference(c.sample, c.selected) || document.getElementById("setup-confirmed").checked ? "" : tr("controls.confirm_stickers_and_chest_first"));
 const typedReason = () => document.getElementById("reference-reason").value.trim();
@@ -141,6 +142,10 @@ export class Controls {
     return this.busy !== null;
   }
 
+  get isWindowEdited() {
+    return this.context.isWindowEdited === true;
+  }
+
   /** The reason typed beside the reference, which a correction far from the fraction's first needs too. */
   get reason() {
     return typedReason();
@@ -189,7 +194,7 @@ export class Controls {
     this.#goOn();
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
-      const why = this.forbids(action) || (this.lastRunningId === null ? tr("controls.no_running_session") : "");
+      const why = this.forbids(action) || (this.#runsNone ? tr("controls.no_running_session") : "");
       button(action).disabled = why !== "";
       button(action).title = why === "" ? HALT_TITLES[action] : tr("controls.not_now", { why });
     }
@@ -217,7 +222,13 @@ export class Controls {
       this.say("failed", `${label(action)}: ${why}.${elsewhere(action)}`);
       return;
     }
-    if (this.lastRunningId !== null) await this.#send(action, this.lastRunningId, this.operatorName);
+    if (this.#runsNone) return;
+    await this.#attempt(action, async () => this.#call(action, this.lastRunningId ?? (await runningId()), this.operatorName));
+  }
+
+  /** Whether the state is known, and no session runs: in any other state a person can stop the beam. */
+  get #runsNone() {
+    return this.lastRunningId === null && this.context.kind === "idle";
   }
 
   /** Run an action of another panel and show its result here. */

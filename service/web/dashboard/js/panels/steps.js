@@ -39,19 +39,24 @@ export class Steps {
   }
 
   /**
-   * @param {{may: boolean, isFresh: boolean, sample: ?object, session: ?object}} context whether the person may run sessions;
-   * the fresh sample of a running session; the session that runs or was chosen
+   * @param {{may: boolean, isFresh: boolean, sample: ?object, session: ?object, isWindowEdited: boolean}} context whether the
+   * person may run sessions; the fresh sample of a running session; the session that runs or was chosen; whether the
+   * trace shows edges that are not applied
    */
-  render({ may, isFresh, sample, session: known }) {
+  render({ may, isFresh, sample, session: known, isWindowEdited }) {
+    // With a late picture the list keeps its place: nothing below it moves under a hand.
+    this.root.dataset.stale = isFresh ? "no" : "yes";
+    if (may && !isFresh) { this.#point(null); return; }
     const session = isOpen(known) ? known : null;
     const id = sample?.session_id ?? session?.id ?? null;
     if (id !== this.sessionId) Object.assign(this, { sessionId: id, wasArmed: false, isHidden: false, windowLookedAt: false, model: null, modelId: null });
     if (sample?.is_armed) this.wasArmed = true;
     const isOver = !may || this.wasArmed;
-    const isShown = !isOver && isFresh && !this.isHidden;
+    const isShown = !isOver && !this.isHidden;
     this.root.hidden = !isShown;
-    this.show.hidden = isOver || !this.isHidden || !isFresh;
-    const steps = isOver || !isFresh ? [] : stepsOf({ sample, session, windowLookedAt: this.windowLookedAt, model: this.model });
+    this.show.hidden = isOver || !this.isHidden;
+    const windowLookedAt = this.windowLookedAt && !isWindowEdited;
+    const steps = isOver ? [] : stepsOf({ sample, session, windowLookedAt, model: this.model });
     this.#point(steps.find((one) => one.state === "now")?.button ?? null);
     if (isShown) this.#draw(steps);
     if (sample !== null) this.#readModel(session?.active_model_id ?? null);

@@ -48,6 +48,16 @@ export class WindowEditor {
     return !this.form.hidden;
   }
 
+  /** Whether it holds edges or a dwell that are not those of the session: the trace draws them, and no gate applies them. */
+  get isChanged() {
+    return this.isOpen && this.#entered !== this.enteredAtFirst;
+  }
+
+  get #entered() {
+    const { unit, lower, upper, dwell_ms: dwell } = this.form.elements;
+    return [unit, lower, upper, dwell].map((one) => one.value).join(" ");
+  }
+
   /** @returns {boolean} whether it was open */
   close() {
     const wasOpen = this.isOpen;
@@ -122,6 +132,7 @@ export class WindowEditor {
     const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
     byId("window-held").hidden = shown.kind !== "breath_hold";
+    this.enteredAtFirst = this.#entered;
     setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? tr("window_editor.other_conditions_stay_as_they_are") : "");
     this.#show();
     this.form.elements.lower.focus();
