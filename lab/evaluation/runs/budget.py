@@ -44,8 +44,8 @@ class Budget:
 def runs(seed: int, sensor: str, scenarios: tuple[str, ...] = ()) -> list[Run]:
     """Return one run of each scenario, or of those named, that is measured whole on this sensor."""
     chosen: dict[str, Run] = {}
-    for run in sorted(accuracy_plan(seed), key=lambda run: run.name):
-        if run.sensor == sensor and not run.is_lowered and (not scenarios or run.scenario in scenarios):
+    for run in sorted(accuracy_plan(seed, sensor=sensor), key=lambda run: run.name):
+        if not run.is_lowered and (not scenarios or run.scenario in scenarios):
             chosen.setdefault(run.scenario, replace(run, has_instruments=False))
     return list(chosen.values())
 

@@ -17,7 +17,8 @@ def test_each_kind_of_breathing_is_measured_once_on_the_chosen_sensor_and_no_mov
     assert sorted(run.scenario for run in planned) == ["dibh", "drift", "irregular", "isovolume", "regular", "shift"]
     assert {run.sensor for run in planned} == {"locking"}
     assert not any(run.is_lowered or run.has_laser for run in planned)
-    assert [run.scenario for run in runs(2017, "usual", ("dibh",))] == ["dibh"]
+    for sensor in ("usual", "drawn-6"):
+        assert [(run.scenario, run.sensor) for run in runs(2017, sensor, ("dibh",))] == [("dibh", sensor)]
 
 
 def test_every_row_replaces_one_cause(tmp_path, monkeypatch):
