@@ -51,7 +51,7 @@ ACTIONS = {
     "session.baseline_correction": "window moved by the drift",
     "session.position_check": "position signed",
     "session.countersign": "countersigned",
-    "session.signature": "report signed or noted",
+    "session.signature": "report signed",
     "model.reference_set": "reference taken up",
     "model.zero_needed": "reference needed again",
     "model.retrain": "trained again",
@@ -72,7 +72,7 @@ COUNTED = {
 """Acts that are counted, and how many of them a usual session has."""
 LOST_PERCENT = 1.0
 OPEN = ("created", "running")
-SIGNATURE = "session.signature"
+SIGNATURE, NOTED = "session.signature", "note added to the report"
 REASONED = frozenset(
     {"session.arm", "session.reference", "session.window", "session.baseline_correction", "session.position_check"}
 )
@@ -284,7 +284,8 @@ def _events(rows: Sequence[_Row]) -> Iterator[ReportEvent]:
         if row.is_fault:
             text = f"fault: {str(row.detail.get('reason', '')).replace('_', ' ')}"
         elif row.action in ACTIONS and row.outcome != "requested":
-            text = ACTIONS[row.action] if row.outcome == "done" else f"{ACTIONS[row.action]}: {row.outcome}"
+            act = NOTED if row.action == SIGNATURE and not row.detail.get("is_signed") else ACTIONS[row.action]
+            text = act if row.outcome == "done" else f"{act}: {row.outcome}"
         else:
             continue
         reasons = [*_stated(row), row.detail.get("reason") if not row.is_fault else None, *_overridden(row)]

@@ -152,9 +152,7 @@ def test_every_line_is_looked_at_where_not_all_are_in_view(fake: FakeService, st
     stepped.advance(2_500)
     expect(page.locator("#do-arm-now")).to_be_disabled()
     expect(page.locator("#arming-why")).to_have_text("Look at every line first: scroll to the last one.")
-    scroll = (
-        "(share) => { const list = document.querySelector('#arming'); list.scrollTop = share * 2000; }"
-    )
+    scroll = "(share) => { const list = document.querySelector('#arming'); list.scrollTop = share * 2000; }"
     for share in range(21):
         page.evaluate(scroll, share / 20)
         stepped.advance(STEP_MS)

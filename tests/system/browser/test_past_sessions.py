@@ -156,12 +156,13 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     assert heights[0] == 0
     expect(lines).to_have_text(["A limit was exceeded with a reason: two persons sign, 2 missing."])
     page.get_by_label("Note", exact=True).fill("coughed in the third minute")
-    page.get_by_role("button", name="Add note").click()
+    page.get_by_label("Note", exact=True).press("Enter")  # notes, and signs nothing
     expect(lines.first).to_contain_text("A. Therapist")
     expect(lines.first).to_contain_text("coughed in the third minute")
     page.get_by_role("button", name="Sign report").click()
     expect(lines.last).to_contain_text("1 missing")
     expect(page.locator("#review-outcome")).to_have_text("Signed.")
+    expect(page.get_by_role("button", name="Sign report")).to_be_hidden()
     noted, signed = (body for path, body in fake.posts() if path.endswith("/signature"))
     assert (noted["is_signed"], signed["is_signed"]) == (False, True)
     assert noted["content_sha256"] == signed["content_sha256"] == fake.report["content_sha256"]

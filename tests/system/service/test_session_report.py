@@ -209,6 +209,14 @@ def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, play
     page = export(client, played, "report.html").text
     assert "two coughs" in page
     assert page.count("signed 20") == 2
+    texts = [
+        one["text"] for one in export(client, played, "report").json()["events"] if one["action"] == "session.signature"
+    ]
+    assert [text.startswith("note added to the report") for text in texts if "refused" not in text] == [
+        True,
+        False,
+        False,
+    ]
     outcomes = [row["outcome"] for row in audit_rows(client, "session.signature")]
     assert sorted(outcomes) == ["done"] * 3 + ["refused"] * 3
 

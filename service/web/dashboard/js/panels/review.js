@@ -51,8 +51,8 @@ export class Review {
     byId("review-signal").addEventListener("change", () => this.#draw());
     this.frame.addEventListener("keydown", (event) => this.#key(event));
     this.form = byId("review-sign");
-    this.form.addEventListener("submit", (event) => { event.preventDefault(); this.#sign(true); });
-    byId("review-remark").addEventListener("click", () => this.#sign(false));
+    this.form.addEventListener("submit", (event) => { event.preventDefault(); this.#sign(false); });
+    byId("review-do-sign").addEventListener("click", () => this.#sign(true));
   }
 
   forget() {
@@ -132,6 +132,7 @@ export class Review {
     if (missing > 0) lines.push(tr(needed > 1 ? "review.missing_second" : "review.missing", { missing }));
     byId("review-signatures").replaceChildren(...lines.map((one) => part("li", one)));
     this.form.hidden = !this.access.may("sign");
+    byId("review-do-sign").hidden = signatures.some((one) => one.is_signed && one.is_of_this && one.name === this.access.person?.name);
   }
 
   async #sign(isSigned) {
