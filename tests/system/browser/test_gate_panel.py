@@ -50,6 +50,16 @@ def test_each_gate_state_shows_its_word_and_its_shape_alone(fake: FakeService, t
         expect(page.locator("#gate-reason")).to_have_text(STATES[gate]["hold_text"])
 
 
+@pytest.mark.parametrize("height", [768, 800, 1080])
+def test_a_fault_s_octagon_keeps_its_size_beside_a_cause_of_several_lines(fake: FakeService, tab: Tab, height: int):
+    fake.mode = "samples"
+    fake.sample = STATES["fault"] | {"hold_detail": "88 MiB are free, and 200 MiB stay free: call the administrator"}
+    tab.page.set_viewport_size({"width": 1024 if height < 800 else 1280, "height": height})
+    place = tab.open("fault").locator("#gate .shape").bounding_box()
+    assert min(place["width"], place["height"]) >= 64
+    assert tab.page.evaluate("(g => g.scrollHeight - g.clientHeight)(document.querySelector('#gate'))") <= 0
+
+
 def test_no_two_states_share_word_shape_or_colour(fake: FakeService, stepped: SteppedPage):
     stepped.open(STATES["hold"])
     seen = []
