@@ -36,7 +36,7 @@ def test_a_pulse_is_one_line_and_a_hold_of_another_cause_its_own(fake: FakeServi
     assert [one.replace("\n", "") for one in rows.all_inner_texts()] == [
         "03:00:12Beam heldA camera frame is missing",
         "03:00:10Beam on",
-        "03:00:04Beam on for 1.5 sOutside the window",
+        "03:00:04Beam on 1.5 s, then offOutside the window",
         "03:00:01Beam heldOutside the window",
     ]
 
