@@ -130,6 +130,23 @@ def test_a_page_that_did_not_arm_speaks_for_no_one_while_a_person_s_gate_is_arme
     assert calls_to(fake, "presence") == [], "also where the same person armed at another page"
 
 
+def test_who_armed_at_another_page_takes_over_here_by_a_press_that_is_meant(fake: FakeService, stepped: SteppedPage):
+    fake.person = ADA
+    lost = {"hold_reason": "operator_lost", "hold_text": "No page of a person who answers for the armed gate responds"}
+    page = stepped.open(HELD | lost | {"operator_hold": None, "armed_by": "C. Nurse"})
+    expect(page.locator("#do-take-over")).to_be_hidden()  # another person's gate
+    stepped.shows(HELD | lost | {"operator_hold": None, "armed_by": "Ada L."})
+    stepped.advance_until(lambda: page.locator("#do-take-over").is_visible())
+    expect(page.locator("#gate .advice")).to_contain_text("You armed at another page.")
+    page.click("#do-take-over")  # just appeared: the click may have been meant for another button
+    stepped.advance(2_500)
+    assert calls_to(fake, "presence") == []
+    page.click("#do-take-over")
+    stepped.advance(2_000)
+    assert calls_to(fake, "presence")
+    expect(page.locator("#do-take-over")).to_be_hidden()
+
+
 @pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
 def test_a_screen_in_the_distance_view_is_no_one_who_is_there(fake: FakeService, stepped: SteppedPage, sample: dict):
     fake.person = ADA

@@ -10,6 +10,7 @@ import { hideCovered } from "./drawing/covered.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { CoachPanel } from "./coach/panel.js";
+import { ClickGuard } from "./panels/click_guard.js";
 import { Controls } from "./panels/controls.js";
 import { DistanceView } from "./panels/distance.js";
 import { EventList } from "./panels/events.js";
@@ -24,7 +25,7 @@ import { LogIn } from "./people/login.js";
 import { ModelQuality } from "./panels/model_quality.js";
 import { PicturePanel } from "./panels/picture.js";
 import { rolesText } from "./people/permissions.js";
-import { Presence } from "./people/presence.js";
+import { isArmedElsewhere, Presence, rememberArming } from "./people/presence.js";
 import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
 import { KeyList } from "./panels/key_list.js";
@@ -87,6 +88,8 @@ const keyList = new KeyList();
 const logIn = new LogIn(access);
 const qa = new QaPanel();
 const coach = new CoachPanel(access);
+const takeOver = byId("do-take-over");
+const takeOverGuard = new ClickGuard([takeOver]);
 const steps = new Steps(byId("steps"));
 const sounds = new SoundPanel();
 const distance = new DistanceView(byId("do-distance"));
@@ -324,6 +327,12 @@ function fraction({ fraction_id: id, fraction_number: number }) {
   return number === null || number === undefined ? id : tr("main.fraction_no", { id, number });
 }
 
+/** The person who armed at another page answers for the gate at this one from now on. */
+takeOver.addEventListener("click", (event) => {
+  const sample = stream.message;
+  if (takeOverGuard.refusal(event) === "" && isArmedElsewhere(sample, controls.operatorName)) rememberArming(sample.session_id, controls.operatorName);
+});
+
 /** Show what would be armed; the trace then has one band only. */
 function openArming(id, head) {
   windowEditor.close();
@@ -345,6 +354,10 @@ function render() {
   }
   view.warning = mismatch.check(sample, nowMs) || urgentText(activeAlarms, sample?.hold_reason ?? null) || view.warning;
   if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. ${tr("main.set_the_reference_before_arming")}`;
+  const isElsewhere = view.isCurrent && sample?.hold_reason === "operator_lost" && isArmedElsewhere(sample, access.may("arm") ? controls.operatorName : "");
+  if (isElsewhere) Object.assign(view, { toDo: tr("main.you_armed_at_another_page"), call: "" });
+  takeOver.hidden = !isElsewhere;
+  takeOverGuard.update(nowMs);
   gate.render(view, nowMs);
   // Drawn with the gate, not with the other numbers: the two must always agree.
   setText(byId("figure-line"), lineText(sample));

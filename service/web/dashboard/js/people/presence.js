@@ -18,6 +18,11 @@ export function rememberArming(sessionId, operator) {
   sessionStorage.setItem(ARMED_KEY, JSON.stringify({ sessionId, operator }));
 }
 
+/** Whether this person armed the gate at another page, so that this one does not speak for them. */
+export function isArmedElsewhere(sample, operatorName) {
+  return sample !== null && sample.is_armed && operatorName !== "" && sample.armed_by === operatorName && !isArmedHere(sample, operatorName);
+}
+
 export class Presence {
   constructor() {
     this.nextMs = 0;
@@ -47,8 +52,12 @@ export class Presence {
 /** Whether this page's presence means something to the controller now. */
 function counts(sample, operatorName, isDistant) {
   if (!sample.is_armed || isProgram(sample.armed_by)) return !isDistant;
+  return sample.armed_by === operatorName && isArmedHere(sample, operatorName);
+}
+
+function isArmedHere(sample, operatorName) {
   const armed = armedHere();
-  return sample.armed_by === operatorName && armed?.sessionId === sample.session_id && armed.operator === operatorName;
+  return armed?.sessionId === sample.session_id && armed.operator === operatorName;
 }
 
 function armedHere() {
