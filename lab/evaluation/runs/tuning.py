@@ -91,8 +91,8 @@ def table(found: list[Tuned]) -> Table:
         errors_mm = np.array([[one.errors_mm[constant.name, value] for value in names] for one in found])
         parts = ([one.run.sensor for one in found], [one.run.scenario for one in found])
         folds = [_held_out(errors_mm, np.array(part)) for part in parts]
-        shown = ", ".join(f"{value}: {mm:.4f}" for value, mm in zip(names, errors_mm.mean(axis=0), strict=True))
-        chosen = (", ".join(names[one] for one in choices) for choices, _ in folds)
+        shown = "; ".join(f"{value}: {mm:.4f}" for value, mm in zip(names, errors_mm.mean(axis=0), strict=True))
+        chosen = ("; ".join(names[one] for one in choices) for choices, _ in folds)
         rows.append((constant.name, shown, *chosen, float(errors_mm[:, 0].mean()), *(mm for _, mm in folds)))
     return Table(
         name="tuning",

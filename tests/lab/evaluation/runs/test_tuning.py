@@ -40,7 +40,7 @@ def test_a_value_is_chosen_without_the_part_that_judges_it():
         for run in runs(2017, 100, 2, ("regular", "dibh"))
     ]
     row = next(row for row in table(found).rows if row[0] == "CAUTION")
-    assert row[2:4] == ("3.0, 1.3", "3.0, 1.3")
+    assert row[2:4] == ("3.0; 1.3", "3.0; 1.3")
     assert row[4:] == pytest.approx((0.1, (0.1 + 0.1 + 0.09 + 0.4) / 4, (0.1 + 0.1 + 0.09 + 0.4) / 4))
 
 
