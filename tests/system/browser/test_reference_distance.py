@@ -25,6 +25,7 @@ def reference(**changes: Any) -> dict[str, Any]:
         "turn_deg": 0.2,
         "tilt_deg": 0.31,
         "shape_mm": 0.1,
+        "uncertainty_mm": 0.09,
         "level": -1.5,
         "correction": 0.0,
         "unit": "mm",

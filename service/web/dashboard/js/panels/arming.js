@@ -109,13 +109,15 @@ export class ArmingPanel {
     const bottom = Math.min(this.button.parentElement.getBoundingClientRect().top, window.innerHeight);
     for (const line of this.unseen) {
       const place = line.getBoundingClientRect();
-      if (place.top >= top - 1 && place.bottom <= bottom + 1) this.unseen.delete(line);
+      if (place.top < top - 1 || place.bottom > bottom + 1) continue;
+      this.unseen.delete(line);
+      this.seen.add(line.dataset.state + line.textContent);
     }
     return this.unseen.size === 0;
   }
 
   #forget() {
-    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false, unseen: new Set() });
+    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false, unseen: new Set(), seen: new Set() });
     byId("arming-items").replaceChildren();
     byId("arming-reason-field").hidden = true;
     this.countersigning.hidden = true;
@@ -155,7 +157,8 @@ export class ArmingPanel {
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...groupsOf(summary.items.filter((one) => one.code !== "patient")));
-    this.unseen = new Set(byId("arming-items").querySelectorAll("dl div"));
+    // What did not change since it was in view was looked at.
+    this.unseen = new Set([...byId("arming-items").querySelectorAll("dl div")].filter((line) => !this.seen.has(line.dataset.state + line.textContent)));
   }
 
   /** Sign what is shown, as the second person; the password leaves the page's fields in any case. */
