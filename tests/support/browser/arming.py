@@ -5,16 +5,11 @@ from playwright.sync_api import Page, expect
 from tests.support.browser.stepped_page import SteppedPage
 
 ACCEPTS = "#do-arm-now:enabled:not([aria-disabled])"
-LOOK_DOWN = "document.querySelector('#arming').scrollTop = 9999"
-DRAWN_TWICE = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
 def press_arm(page: Page) -> None:
     """Arm on a page whose time runs."""
     page.click("#do-arm")
-    expect(page.locator("#arming-items dl div").first).to_be_visible()
-    page.evaluate(DRAWN_TWICE)
-    page.evaluate(LOOK_DOWN)
     expect(page.locator(ACCEPTS)).to_be_visible()
     page.click("#do-arm-now")
 
@@ -22,8 +17,5 @@ def press_arm(page: Page) -> None:
 def press_arm_stepped(stepped: SteppedPage) -> None:
     """Arm on a page whose time the test moves."""
     stepped.page.click("#do-arm")
-    stepped.advance_until(lambda: stepped.page.locator("#arming-items dl div").count())
-    stepped.advance(stepped.step_ms)
-    stepped.page.evaluate(LOOK_DOWN)
     stepped.advance_until(lambda: stepped.page.locator(ACCEPTS).count())
     stepped.page.click("#do-arm-now")

@@ -9,8 +9,6 @@ from typing import Protocol
 
 from playwright.sync_api import Page, expect
 
-from tests.support.browser.arming import LOOK_DOWN
-
 LOOK_MS = 250
 ACCEPTS = "#do-arm-now:visible:enabled:not([aria-disabled=true])"
 FAILED = ".outcome[data-kind=failed]:visible:not(:empty)"
@@ -160,7 +158,6 @@ class Newcomer:
 
     def _arm(self) -> None:
         """Read the summary; the button ignores presses until it has been shown for 2 s. By keyboard it takes two."""
-        self.page.evaluate(LOOK_DOWN)
         if self.page.locator(ACCEPTS).count() == 0:
             return
         self.decisions.append("arming")

@@ -146,20 +146,6 @@ def test_a_late_picture_leaves_it_open_and_has_to_be_looked_at_again(fake: FakeS
     assert len(armings(fake)) == 1
 
 
-def test_every_line_is_looked_at_where_not_all_are_in_view(fake: FakeService, stepped: SteppedPage):
-    stepped.page.set_viewport_size({"width": 1024, "height": 700})
-    page = opened(stepped)
-    stepped.advance(2_500)
-    expect(page.locator("#do-arm-now")).to_be_disabled()
-    expect(page.locator("#arming-why")).to_have_text("Look at every line first: scroll to the last one.")
-    scroll = "(share) => { const list = document.querySelector('#arming'); list.scrollTop = share * 2000; }"
-    for share in range(21):
-        page.evaluate(scroll, share / 20)
-        stepped.advance(STEP_MS)
-    stepped.advance(2_200)
-    expect(page.locator("#do-arm-now")).to_be_enabled()
-
-
 def test_nothing_arms_while_the_trace_shows_edges_that_are_not_applied(fake: FakeService, stepped: SteppedPage):
     page = stepped.open_settled(DISARMED)
     page.click("#do-window")

@@ -99,25 +99,11 @@ export class ArmingPanel {
   #obstacle() {
     if (this.controls.isWindowEdited) return tr("controls.apply_the_window_or_cancel_it");
     if (this.isLate) return tr("arming.the_picture_is_late_look_again");
-    if (this.summary?.needs_reason === true && this.reason.value.trim() === "") return tr("arming.give_the_reason");
-    return this.#isAllSeen() ? "" : tr("arming.scroll_to_the_last_line");
-  }
-
-  /** Whether every line was in view, above the buttons, since the summary changed. */
-  #isAllSeen() {
-    const top = Math.max(this.root.getBoundingClientRect().top, 0);
-    const bottom = Math.min(this.button.parentElement.getBoundingClientRect().top, window.innerHeight);
-    for (const line of this.unseen) {
-      const place = line.getBoundingClientRect();
-      if (place.top < top - 1 || place.bottom > bottom + 1) continue;
-      this.unseen.delete(line);
-      this.seen.add(line.dataset.state + line.textContent);
-    }
-    return this.unseen.size === 0;
+    return this.summary?.needs_reason === true && this.reason.value.trim() === "" ? tr("arming.give_the_reason") : "";
   }
 
   #forget() {
-    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false, unseen: new Set(), seen: new Set() });
+    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false });
     byId("arming-items").replaceChildren();
     byId("arming-reason-field").hidden = true;
     this.countersigning.hidden = true;
@@ -157,8 +143,6 @@ export class ArmingPanel {
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...groupsOf(summary.items.filter((one) => one.code !== "patient")));
-    // What did not change since it was in view was looked at.
-    this.unseen = new Set([...byId("arming-items").querySelectorAll("dl div")].filter((line) => !this.seen.has(line.dataset.state + line.textContent)));
   }
 
   /** Sign what is shown, as the second person; the password leaves the page's fields in any case. */
