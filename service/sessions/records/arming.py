@@ -24,7 +24,7 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 
 REFERENCE_SET = "session.reference"
-UNSEEN = say("none sees a cover of the skin's colour below 3 mm, or one half of the body that rises 4 mm in 15 s")
+UNSEEN = say("none surely sees a skin-coloured cover of up to 5 mm, or half of the body that rises slowly by 4 mm")
 NO_PREDICTION = say("not compared with free breathing: see that its edges are those of a held breath")
 NOT_COMPARED = say("a recording does not say which camera made it: see that the calibration is that camera's")
 NO_QA = say("no QA is required here")
