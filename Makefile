@@ -11,7 +11,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test verify tests processors lint security types contracts documents planted demo bench load faults kills mutants fuzz sanitize sbom scan lock clean docker-test release bundle
+.PHONY: help setup openni test-system check check-tests test verify tests lowest processors lint security types contracts documents docs planted demo bench load faults kills mutants fuzz sanitize sbom scan lock clean docker-test release bundle
 
 demo:  ## two minutes: a virtual volunteer through the whole of Tidegate; KEEP=1 stays up, PORT=8080 another port
 	@$(MAKE) --no-print-directory -j2 $(PRODUCT) openni
@@ -92,6 +92,16 @@ tests:
 	$(BIN)/python -m tests.support.durations build/tests/*.xml; \
 	[ ! "$$failed" ] || { echo "FAILED:$$failed"; exit 1; }
 
+# What pip may choose at the least: the run-time packages at their lower bounds, everything else as locked.
+lowest: $(STAMP)  ## the fast tests with the oldest packages that pyproject.toml accepts
+	@mkdir -p build; rm -rf build/lowest; $(BIN)/uv venv --quiet --python $(BIN)/python build/lowest
+	@$(BIN)/uv pip compile --quiet --no-header --resolution lowest-direct pyproject.toml --output-file build/lowest.txt
+	@cat requirements.lock requirements-lab.lock requirements-dev.lock | grep -oE '^[[:alnum:]_.-]+(\[[a-z]+\])?==[^ ]+' | sort -u >build/locked.txt
+	@$(UV_INSTALL) --quiet --python build/lowest/bin/python -r build/locked.txt --override build/lowest.txt
+	@$(UV_INSTALL) --quiet --python build/lowest/bin/python --no-deps --require-hashes -r requirements-orbbec.lock
+	@$(UV_INSTALL) --quiet --python build/lowest/bin/python --no-deps --no-build-isolation --editable . --editable ./lab
+	build/lowest/bin/pytest --fast -q -n 2 --dist loadfile --deselect verification/supply
+
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
 	nice $(BIN)/python -m tests.support.processor_features -n 2 --dist loadfile
 
@@ -128,11 +138,14 @@ docs-figures: $(STAMP)  ## measure each kind of breathing and each falsification
 	$(BIN)/tidegate evaluate integrity --slow --out build/figures
 	$(BIN)/python -m tests.support.documents.figures build/figures
 
+docs: $(STAMP)  ## the documentation as a site, build/docs/index.html
+	$(BIN)/python -m sphinx -q -n -W --keep-going -b html docs build/docs && cp build/docs/README.html build/docs/index.html
+
 lint: $(STAMP)  ## ruff, rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 security: $(STAMP)  ## bandit; ruff's security rules are in lint
-	$(BIN)/bandit -q -c pyproject.toml -r engine service lab migrations 2>/dev/null
+	$(BIN)/bandit -q -c pyproject.toml -r engine service lab tidegate migrations 2>/dev/null
 types: $(STAMP)  ## mypy --strict
 	$(BIN)/mypy
 contracts: $(STAMP)  ## import-linter: who may import whom

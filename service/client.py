@@ -388,6 +388,7 @@ class DeviceKind(TypedDict):
     install_hint: str
     is_installed: bool
     label: str
+    plug_in: NotRequired[str]
 
 
 class DeviceList(TypedDict):
@@ -770,6 +771,7 @@ class PreparedSession(TypedDict):
     plan_id: str
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
+    signed_by: NotRequired[list[str]]
     source: RecordingSource | DeviceSource
     source_warning: NotRequired[str | None]
     started_at: str | None
@@ -1284,6 +1286,7 @@ class Session(TypedDict):
     plan_id: str
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
+    signed_by: NotRequired[list[str]]
     source: RecordingSource | DeviceSource
     source_warning: NotRequired[str | None]
     started_at: str | None
@@ -1447,6 +1450,7 @@ class SessionDetail(TypedDict):
     reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
+    signed_by: NotRequired[list[str]]
     source: RecordingSource | DeviceSource
     source_warning: NotRequired[str | None]
     started_at: str | None
@@ -1500,6 +1504,15 @@ class GatedMotion(TypedDict):
     within_95_mm: float
 
 
+class Pulse(TypedDict):
+    """One stretch of consecutive samples with the beam on; times since the first sample."""
+
+    from_s: float
+    seconds: float
+    spread: float | None
+    to_s: float
+
+
 class ReportFigures(TypedDict):
     """What is counted from the session's samples alone; times are from each sample to the next, at most a second."""
 
@@ -1518,9 +1531,24 @@ class ReportFigures(TypedDict):
     missed_frames: int
     motion: list[GatedMotion]
     period_s: Range | None
+    pulse_list: NotRequired[list[Pulse]]
     pulse_s: Range | None
     pulses: int
     recorded_s: float
+
+
+class ReportHead(TypedDict):
+    """Place, equipment and persons of the session; the content hash covers the first three."""
+
+    armed_by: list[str]
+    calibrated_at: str | None
+    camera: str
+    first_sample_at: str | None
+    machine: str
+    plan_label: str
+    plan_uid: str
+    qa: str
+    room: str
 
 
 class SignedDegree(TypedDict):
@@ -1539,6 +1567,7 @@ class ReportSignature(TypedDict):
     content_sha256: str
     is_of_this: bool
     is_signed: bool
+    meaning: NotRequired[Literal["checked", "approved"] | None]
     name: str
     note: str
 
@@ -1548,8 +1577,10 @@ class ReportWindow(TypedDict):
 
     actor: str
     at: str
+    lower: NotRequired[float | None]
     reason: str
     text: str
+    upper: NotRequired[float | None]
 
 
 class SessionReport(TypedDict):
@@ -1561,6 +1592,7 @@ class SessionReport(TypedDict):
     differs: list[str]
     events: list[ReportEvent]
     figures: ReportFigures
+    head: ReportHead
     model: str
     position: list[SignedDegree]
     samples_sha256: str

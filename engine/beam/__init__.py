@@ -71,6 +71,7 @@ from engine.beam.wire.serial_settings import (
     check_baud,
 )
 from engine.beam.wire.supervised_line import (
+    Wire,
     WiredBeamLine,
 )
 
@@ -112,6 +113,7 @@ __all__ = [
     "StatusPublisher",
     "TroubleListener",
     "UdpSender",
+    "Wire",
     "WiredBeamLine",
     "check_baud",
     "check_channels",

@@ -118,6 +118,8 @@ class DrilledReceiver:
 class NotVerifiableError(BeamLineError):
     """No second input shows the contact while nothing is exchanged."""
 
+    code = BeamLineError.code
+
 
 def check_verifiable(receivers: Sequence[DrilledReceiver]) -> None:
     """Raise NotVerifiableError unless there is a receiver, and each has a second input."""

@@ -172,7 +172,7 @@ def nominal_calibration(
     )
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration file.
 
     Raises
@@ -180,7 +180,7 @@ def load_calibration(path: Path) -> Calibration:
     CalibrationError
         The file cannot be read or is not a calibration; names field, value and bound.
     """
-    return parse_calibration(STRICT.read_bytes(path))
+    return parse_calibration(STRICT.read_bytes(Path(path)))
 
 
 def parse_calibration(text: bytes) -> Calibration:

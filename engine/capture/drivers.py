@@ -1,9 +1,12 @@
 """The camera drivers: one row for each SDK. Nothing outside of an SDK's folder names it."""
 
 import itertools
+import re
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from engine.capture.camera_process.native import FILE
 from engine.capture.openni.driver import OpenNiDriver
@@ -20,13 +23,42 @@ from engine.capture.source import (
 )
 from engine.core.clock import Clock
 from engine.core.errors import RecordingError, RuntimeMissingError, SourceLostError
+from engine.core.plug_ins import PlugIn, PlugInError
 
 CAMERAS: tuple[CameraDriver, ...] = (REALSENSE, ORBBEC, OpenNiDriver())
 """Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
 MAKERS = {b"/device_0/sensor_": REALSENSE, b"/cam/sensor_": ORBBEC}
 """What recordings of a maker's SDK hold: the names of their topics."""
+PREFIX = re.compile(r"[a-z][a-z0-9-]{1,30}:")
+PLUG_INS: dict[str, PlugIn] = {}
+"""The plug-in of each driver that one added, by its prefix."""
 SUFFIXES = (".bag", ".db3")
 ENDS_BYTES = 1 << 22
+
+
+def add_cameras(plug_ins: Iterable[PlugIn]) -> None:
+    """Load the drivers of plug-ins; those that are there already stay.
+
+    Raises
+    ------
+    PlugInError
+        One cannot be imported, is no `CameraDriver`, or has no prefix of its own.
+    """
+    global CAMERAS  # noqa: PLW0603 - the table of drivers
+    for one in plug_ins:
+        if one in PLUG_INS.values():
+            continue
+        driver = cast("CameraDriver", one.load())
+        name = f"the camera plug-in {one.name} ({one.label})"
+        missing = [part for part in vars(CameraDriver) if not part.startswith("_") and not hasattr(driver, part)]
+        if missing:
+            msg = f"{name} lacks {', '.join(missing)}"
+            raise PlugInError(msg)
+        if not PREFIX.fullmatch(driver.prefix) or any(other.prefix == driver.prefix for other in CAMERAS):
+            msg = f"{name} has the prefix {driver.prefix!r}: must be letters and a colon, of no other driver"
+            raise PlugInError(msg)
+        PLUG_INS[driver.prefix] = one
+        CAMERAS = (driver, *CAMERAS)
 
 
 def is_any_installed() -> bool:
@@ -152,17 +184,24 @@ def factory_calibration(uri: str) -> FactoryCalibration | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraKind:
-    """A kind of cameras: its SDK, whether that is installed, and what installs it."""
+    """A kind of cameras: its SDK, whether that is installed, what installs it, and the plug-in it is of, if any."""
 
     label: str
     is_installed: bool
     install_hint: str
+    plug_in: str = ""
 
 
 def kinds() -> list[CameraKind]:
     """Return every kind of cameras, installed or not."""
     return [
-        CameraKind(label=one.label, is_installed=one.is_installed(), install_hint=one.install_hint) for one in CAMERAS
+        CameraKind(
+            label=one.label,
+            is_installed=one.is_installed(),
+            install_hint=one.install_hint,
+            plug_in=PLUG_INS[one.prefix].label if one.prefix in PLUG_INS else "",
+        )
+        for one in CAMERAS
     ]
 
 

@@ -15,6 +15,7 @@ from engine.capture.oni.records import finish
 from engine.capture.source import LiveSource
 from engine.core.clock import Clock
 from engine.core.errors import FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
+from engine.core.plug_ins import CAMERAS, find_plug_ins
 
 _READ_TIMEOUT_S = 1.0
 _MAX_SILENCE_S = 5.0
@@ -58,6 +59,7 @@ def record(
     if not out.parent.is_dir():
         msg = f"{out.parent} is no folder to record to"
         raise RecordingError(msg)
+    drivers.add_cameras(find_plug_ins(CAMERAS))
     camera = drivers.recording_source(source, clock=clock, record_to=part)
     try:
         try:

@@ -17,7 +17,7 @@ from engine.core.fraction_arming import FractionArming
 from engine.core.gate_state import GateState
 from engine.core.sentences import say
 from engine.core.signals import Ranges, ranges_of
-from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left
+from engine.gating.active_window import duty_percent, refuse_hold_in_free_breath, refuse_never_left, unresolved_text
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Gate
 from engine.gating.windows import GateWindow, Join, JoinedWindow
@@ -222,9 +222,7 @@ class Arming:
         if not self._learner.status.has_reference:
             raise CommandRefusedError(say("there is no reference yet: set it first"))
         if self._limits.is_window_unresolved:
-            raise CommandRefusedError(
-                say("The window is in per cent, but this model has no breathing range. Train again.")
-            )
+            raise CommandRefusedError(unresolved_text(self._limits.current.window))
         self.position.refuse_unsigned()
         self._limits.refuse_wide_window()
         if not is_watchdog_running:

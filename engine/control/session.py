@@ -330,9 +330,7 @@ class EngineSession:
         if isinstance(command, SignPosition):
             self._arming.position.sign(command)
         elif not self._learner.status.has_reference or self._limits.is_window_unresolved:
-            raise CountersignatureError(
-                say("there is no reference yet, or the window is still in per cent: set it first")
-            )
+            raise CountersignatureError(say("there is no reference yet, or the window has no edges yet: set it first"))
         else:
             self._arming.countersignature.sign(command, self._arming.state)
         self._controller.decide(cause=Cause(operator=command.operator))

@@ -4,19 +4,23 @@ An error is for a broken device, a bad input or a bug. An unknown value is not a
 (:class:`engine.core.frames.Lost`). Each class carries a stable ``code`` that the outside may rely on.
 """
 
+import re
 from typing import ClassVar
 
 
 class TidegateError(Exception):
-    """Base of all errors raised on purpose."""
+    """Base of all errors raised on purpose. The code of a class without one is its name's: QaStateError `qa_state`."""
 
     code: ClassVar[str] = "tidegate_error"
+
+    def __init_subclass__(cls) -> None:
+        """Give the class its code."""
+        if cls.__name__.endswith("Error") and "code" not in cls.__dict__:
+            cls.code = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__.removesuffix("Error")).lower()
 
 
 class InvalidValueError(TidegateError):
     """A value is outside its bound; the error has the field, the value and the bound."""
-
-    code = "invalid_value"
 
     def __init__(self, field: str, value: object, bound: str) -> None:
         self.field = field
@@ -40,25 +44,17 @@ class RecordingError(TidegateError):
 class SourceLostError(TidegateError):
     """The camera is disconnected and does not reconnect by itself."""
 
-    code = "source_lost"
-
 
 class CameraMismatchError(SourceLostError):
     """The camera is not the one that was calibrated; the message has both serial numbers."""
-
-    code = "camera_mismatch"
 
 
 class SourceEndedError(TidegateError):
     """A recording has been read to its last frame."""
 
-    code = "source_ended"
-
 
 class FrameTimeoutError(TidegateError):
     """No frame came in time; the source may still be usable."""
-
-    code = "frame_timeout"
 
 
 class SourceAwayError(FrameTimeoutError):
@@ -82,8 +78,6 @@ class ModelError(TidegateError):
 class ModelMismatchError(ModelError):
     """The motion model belongs to another patient or calibration, or does not match the patient on the couch."""
 
-    code = "model_mismatch"
-
     def __init__(self, field: str, value: object, bound: str, advice: str = "") -> None:
         self.field, self.value, self.bound = field, _short(value), bound
         super().__init__(_sentence(self.field, self.value, bound, advice))
@@ -92,8 +86,6 @@ class ModelMismatchError(ModelError):
 class TrainingRefusedError(ModelError):
     """The training frames, or the model learned from them, are not usable; the message has the remedy."""
 
-    code = "training_refused"
-
     def __init__(self, field: str, value: object, bound: str, advice: str) -> None:
         self.field, self.value, self.bound = field, _short(value), bound
         super().__init__(_sentence(self.field, self.value, bound, advice))
@@ -101,8 +93,6 @@ class TrainingRefusedError(ModelError):
 
 class TrainingFailedError(ModelError):
     """The process of a training was killed, hung or failed: there is no new model, and the present one stays in use."""
-
-    code = "training_failed"
 
 
 class BeamLineError(TidegateError):
@@ -114,17 +104,15 @@ class BeamLineError(TidegateError):
 class BeamLineMismatchError(BeamLineError):
     """The beam line's read-back differs from the command."""
 
-    code = "beam_line_mismatch"
-
 
 class LeaseLapsedError(BeamLineError):
     """The permit before had lapsed in the line: it is on again after a hold only."""
 
+    code = BeamLineError.code
+
 
 class CommandRefusedError(TidegateError):
     """The engine refuses the command in its present state; the message has the reason and the remedy."""
-
-    code = "command_refused"
 
 
 class HeadDirectionError(CommandRefusedError):
@@ -136,8 +124,6 @@ class HeadDirectionError(CommandRefusedError):
 class ReferenceDistanceError(CommandRefusedError):
     """The reference, or the window with its correction, would lie beyond the budget from the fraction's first one."""
 
-    code = "reference_distance"
-
     def __init__(self, field: str, value: object, bound: str, advice: str) -> None:
         self.field, self.value, self.bound, self.advice = field, str(value), bound, advice
         super().__init__(_sentence(self.field, self.value, bound, advice))
@@ -146,13 +132,9 @@ class ReferenceDistanceError(CommandRefusedError):
 class PositionUncheckedError(CommandRefusedError):
     """The patient's position was not compared with that of the plan and signed, or lies beyond the tolerance."""
 
-    code = "position_unchecked"
-
 
 class ReasonMissingError(CommandRefusedError):
     """The change needs a written reason of the person who makes it."""
-
-    code = "reason_missing"
 
 
 class CountersignatureError(CommandRefusedError):

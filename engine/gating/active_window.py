@@ -26,6 +26,7 @@ from engine.core.sentences import listed, say
 from engine.core.signals import LearnedLevels, Ranges, ranges_of
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
+    LEVEL_NOT_SET,
     AmplitudeWindow,
     BreathHoldWindow,
     Condition,
@@ -116,6 +117,13 @@ def window_text(window: GateWindow) -> str:
     return listed(", ", map(_leaf_text, window.leaves))
 
 
+def unresolved_text(window: GateWindow) -> str:
+    """Return why a window that `needs_ranges` cannot gate."""
+    if any(isinstance(leaf, BreathHoldWindow) and not leaf.is_level_set for leaf in window.leaves):
+        return LEVEL_NOT_SET
+    return say("The window is in per cent, but this model has no breathing range. Train again.")
+
+
 def _edges_of(leaf: Condition) -> AmplitudeWindow | None:
     match leaf:
         case AmplitudeWindow():
@@ -133,6 +141,8 @@ def _leaf_text(leaf: Condition) -> str:
             from_percent=leaf.from_percent,
             to_percent=leaf.to_percent,
         )
+    if isinstance(leaf, BreathHoldWindow) and not leaf.is_level_set:
+        return say("{label}, level not set", label=leaf.level.choice.label)
     edges = leaf.level if isinstance(leaf, BreathHoldWindow) else leaf
     return say(
         "{label} {lower:.4g} to {upper:.4g} {unit}",

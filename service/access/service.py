@@ -21,7 +21,7 @@ from service.access.login.logins import Attempt, LoginService
 from service.access.request.authenticator import Authenticator
 from service.access.request.identity import Identity
 from service.access.screens.screens import ScreenService
-from service.core.errors import LoginFailedError, SecondPersonError
+from service.core.errors import LoginFailedError, SecondPersonError, SignerError
 from service.core.periodic import PeriodicWorker
 from service.core.permissions import Permission, permissions_of
 from service.core.settings.access import AccessSettings
@@ -32,6 +32,8 @@ from service.storage.database.engine import Database
 logger = logging.getLogger(__name__)
 INTERVAL_S = 1.0
 ROUNDS_PER_MINUTE = 60
+SIGNING_LOGIN = timedelta(minutes=5)
+"""Age of the log-in with which a person of an identity provider signs a report."""
 
 
 # Periodic work of access: write refusals to the audit, delete expired log-ins, save times of last use.
@@ -161,6 +163,27 @@ class AccessService:
         if opened.user.must_change_password or permission not in permissions_of(opened.user.roles):
             raise SecondPersonError(f"{opened.user.name} may not countersign: see the roles, and the password's age")
         return opened.user.name
+
+    def confirm_signer(self, identity: Identity, password: str | None, address: str) -> str:
+        """Confirm that who signs is who is logged in; return ``password`` or ``login``, or raise SignerError.
+
+        People of an identity provider have no password here: their log-in was opened within `SIGNING_LOGIN`. Failures
+        count, and are locked out, as those of a log-in.
+        """
+        if self.person(identity).issuer is not None:
+            login = self.store.logins.get(identity.anchor or "")
+            if login is None or self.store.now() - login.created_at > SIGNING_LOGIN:
+                minutes = f"{SIGNING_LOGIN.total_seconds() / 60:g} minutes"
+                raise SignerError(f"the log-in is older than {minutes}: log out and in again, then sign")
+            return "login"
+        if password is None:
+            raise SignerError("a signature needs the password", field="password", bound="the person's own")
+        attempt = Attempt(name=identity.name, password=password, address=address)
+        try:
+            self.passwords.submit(partial(self.logins.verify, attempt)).result()
+        except LoginFailedError as error:
+            raise SignerError("the password is wrong", field="password", bound="the person's own") from error
+        return "password"
 
     def close(self) -> None:
         """Stop the password thread and the clean-up thread; write pending refusals and times of last use first."""

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from engine.core.errors import FrameTimeoutError, InvalidValueError, SourceLostError, TidegateError
 from service.cli.command_group import command_group
-from service.cli.terminal import refused
+from service.cli.terminal import refused, say
 
 if TYPE_CHECKING:
     from engine.capture import LiveSource
@@ -36,13 +36,17 @@ Address = Annotated[
 def list_devices() -> None:
     """Print every kind of cameras with what is missing, and the connected cameras."""
     from engine.capture import drivers
+    from engine.core.plug_ins import BEAM_LINES, CAMERAS, find_plug_ins
 
     kinds = Table("kind", "installed", "installed by", show_edge=False)
-    for kind in drivers.kinds():
-        kinds.add_row(kind.label, "yes" if kind.is_installed else "no", escape(kind.install_hint))
     console = Console()
-    console.print(kinds)
     try:
+        drivers.add_cameras(find_plug_ins(CAMERAS))
+        for kind in drivers.kinds():
+            kinds.add_row(escape(kind.label), "yes" if kind.is_installed else "no", escape(kind.install_hint))
+        console.print(kinds)
+        for plug_in in (*find_plug_ins(CAMERAS), *find_plug_ins(BEAM_LINES)):
+            say(f"Plug-in {plug_in.label}: {plug_in.group}, {plug_in.name}={plug_in.sha256 or 'installed for editing'}")
         found = drivers.list_cameras()
     except TidegateError as error:
         raise refused("devices", error) from error
@@ -64,8 +68,10 @@ def calibration(
     from engine.calibration import built_in_calibration
     from engine.capture import drivers
     from engine.core.files import write_whole
+    from engine.core.plug_ins import CAMERAS, find_plug_ins
 
     try:
+        drivers.add_cameras(find_plug_ins(CAMERAS))
         made = None if source is None else drivers.maker_recording(Path(source))
         found = built_in_calibration(made or drivers.listed_address(source))
         if found is None:
@@ -110,10 +116,12 @@ def check(
     from engine.capture import drivers
     from engine.core.clock import MonotonicClock
     from engine.core.files import write_whole
+    from engine.core.plug_ins import CAMERAS, find_plug_ins
     from engine.qa import DeviceCheck
 
     camera = None
     try:
+        drivers.add_cameras(find_plug_ins(CAMERAS))
         address = drivers.listed_address(source)
         known = built_in_calibration(address) if calibration_file is None else load_calibration(calibration_file)
         if known is None and radius_mm is not None:

@@ -12,7 +12,7 @@ from service.cli.terminal import refused, say
 from service.core.errors import BoundError
 from service.core.settings.settings import SettingsError
 from service.sessions.report.pages import report_html, report_pdf
-from service.sessions.report.reports import ReportService
+from service.sessions.report.reports import report_service
 from service.storage.audit import Event
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
@@ -41,7 +41,7 @@ def report(
         database = Database(settings.database_place)
         try:
             samples = SampleStore(settings.data_dir / SAMPLES_FOLDER)
-            stored = ReportService(database, samples, needs_two=settings.needs_countersignature).of(session)
+            stored = report_service(database, samples, settings).of(session)
             body = report_pdf(stored) if out.suffix == ".pdf" else report_html(stored).encode()
             with whole_file(out) as file:
                 file.write(body)

@@ -83,8 +83,11 @@ def _run(settings: "Settings") -> None:
     place = settings.data_dir.absolute()
     start_log.info("Tidegate %s: room %s, data folder %s, database %s", __version__, room, place, database)
     _warn(settings)
+    from service.engine_host.plug_ins import use_plug_ins
     from service.engine_host.process.process_engine import ProcessEngine
 
+    for plug_in in use_plug_ins(settings):
+        start_log.info("plug-in %s of %s", plug_in.name, plug_in.label)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _raise_file_limit()
     # Before the web server's imports, which take as long as those of the engine's process: they run side by side.
@@ -120,7 +123,6 @@ def _serve(settings: "Settings", engine: "ProcessEngine") -> None:
         host=settings.host,
         port=settings.port,
         certificate=app.state.certificate,
-        max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
         leave=os._exit,
         trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
         on_listening=lambda: start_log.info("%s", _listening(settings)),

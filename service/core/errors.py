@@ -42,55 +42,37 @@ class BoundError(ServiceError):
 class NotFoundError(ServiceError):
     """The id or the path does not exist."""
 
-    code = "not_found"
-
 
 class SessionActiveError(ServiceError):
     """Another session is created or running. There is one camera and one beam, so one session at a time is open."""
-
-    code = "session_active"
 
 
 class SessionStateError(ServiceError):
     """The session's status does not allow this call."""
 
-    code = "session_state"
-
 
 class ServiceStoppingError(ServiceError):
     """The service is shutting down."""
-
-    code = "service_stopping"
 
 
 class QaActiveError(ServiceError):
     """A QA run uses the camera and the beam line."""
 
-    code = "qa_active"
-
 
 class QaCodeError(ServiceError):
     """The one-time code of a QA run on a real beam line is missing, wrong, expired or used."""
-
-    code = "qa_code"
 
 
 class QaStateError(ServiceError):
     """The QA run's status does not allow this call."""
 
-    code = "qa_state"
-
 
 class QaOverdueError(ServiceError):
     """The site requires a daily QA before arming, and the newest run is too old, failed, or missing."""
 
-    code = "qa_overdue"
-
 
 class CameraLatencyError(ServiceError):
     """Clinical mode requires a measured latency of this camera, and it is missing, too old, failed, or too large."""
-
-    code = "camera_latency"
 
 
 class IdempotencyError(ServiceError):
@@ -102,8 +84,6 @@ class IdempotencyError(ServiceError):
 class IdempotencyInProgressError(ServiceError):
     """The first request with this Idempotency-Key is still in progress."""
 
-    code = "idempotency_in_progress"
-
     def __init__(self, message: str, *, field: str | None = None, bound: str | None = None) -> None:
         super().__init__(message, field=field, bound=bound)
         self.headers = {"Retry-After": "1"}
@@ -112,13 +92,9 @@ class IdempotencyInProgressError(ServiceError):
 class PreconditionFailedError(ServiceError):
     """The resource was changed: ``If-Match`` does not match its present ETag."""
 
-    code = "precondition_failed"
-
 
 class NotAcceptableError(ServiceError):
     """The call cannot answer in any of the media types in ``Accept``."""
-
-    code = "not_acceptable"
 
 
 class StartError(ServiceError):
@@ -130,8 +106,6 @@ class StartError(ServiceError):
 class EngineTimeoutError(ServiceError):
     """The engine did not answer in time; the command was cancelled."""
 
-    code = "engine_timeout"
-
 
 class EngineProcessError(ServiceError):
     """The engine process does not start, or has died; no session can start."""
@@ -142,49 +116,33 @@ class EngineProcessError(ServiceError):
 class PictureMissingError(ServiceError):
     """The session does not run, or no frame has arrived yet."""
 
-    code = "picture_missing"
-
 
 class MeshMissingError(ServiceError):
     """The session does not run, or its newest frame was not measured."""
-
-    code = "mesh_missing"
 
 
 class SamplesRemovedError(ServiceError):
     """The session's samples were removed when their retention time ended."""
 
-    code = "samples_removed"
-
 
 class StorageLowError(ServiceError):
     """The free disk space or the quota does not suffice for another session."""
-
-    code = "storage_low"
 
 
 class StorageUnwritableError(ServiceError):
     """The sample file cannot be written."""
 
-    code = "storage_unwritable"
-
 
 class AuditBusyError(ServiceError):
     """A verification of the audit log is already in progress; one at a time is allowed."""
-
-    code = "audit_busy"
 
 
 class MediaTypeError(ServiceError):
     """The Content-Type of the body is not one that the call accepts."""
 
-    code = "media_type"
-
 
 class NotLoggedInError(ServiceError):
     """The request has no valid log-in, API key or token, or it has expired."""
-
-    code = "not_logged_in"
 
     def __init__(self) -> None:
         super().__init__("Log in, or send a valid API key. The log-in or key is missing or has expired.")
@@ -194,8 +152,6 @@ class NotLoggedInError(ServiceError):
 class LoginFailedError(ServiceError):
     """The log-in was refused; the answer does not say whether name or password is wrong."""
 
-    code = "login_failed"
-
     def __init__(self) -> None:
         super().__init__("Name or password is wrong, or the account is disabled.")
         self.headers = {"WWW-Authenticate": 'Bearer realm="tidegate"'}
@@ -203,8 +159,6 @@ class LoginFailedError(ServiceError):
 
 class StreamFullError(ServiceError):
     """The live stream has its maximum number of clients."""
-
-    code = "stream_full"
 
     def __init__(self) -> None:
         super().__init__("The live stream has its maximum number of clients. Try again later.")
@@ -214,16 +168,12 @@ class StreamFullError(ServiceError):
 class PairingRefusedError(ServiceError):
     """No pairing code is open at the console, or it is another one."""
 
-    code = "pairing_refused"
-
     def __init__(self) -> None:
         super().__init__("the code is not the one that the console shows, or it has expired", field="code")
 
 
 class LockedOutError(ServiceError):
     """Too many log-ins failed for this name or from this address."""
-
-    code = "locked_out"
 
     def __init__(self, wait_s: int) -> None:
         super().__init__(f"Too many log-ins failed. Try again in {wait_s} s.")
@@ -243,64 +193,48 @@ class PasswordServiceBusyError(ServiceError):
 class WrongPasswordError(ServiceError):
     """The old password is wrong."""
 
-    code = "wrong_password"
-
 
 class SecondPersonError(ServiceError):
     """The second person's name or password is wrong, or that person may not countersign."""
 
-    code = "second_person"
+
+class SignerError(ServiceError):
+    """A report is signed with the person's own password, or with a log-in that was opened just before."""
+
+    code = "signer_unconfirmed"
 
 
 class PermissionMissingError(ServiceError):
     """The caller lacks the permission that the call needs."""
 
-    code = "permission_missing"
-
 
 class PersonRequiredError(ServiceError):
     """A program made a call that only a person who has logged in may make."""
-
-    code = "person_required"
 
 
 class PasswordChangeDueError(ServiceError):
     """The password was set by an administrator and must be changed first."""
 
-    code = "password_change_due"
-
 
 class OriginRefusedError(ServiceError):
     """The call comes from a page of another origin."""
-
-    code = "origin_refused"
 
 
 class OperatorMismatchError(ServiceError):
     """`operator` names another person than the one who is logged in."""
 
-    code = "operator_mismatch"
-
 
 class NameTakenError(ServiceError):
     """The name is in use, or was used before; names are never reused."""
-
-    code = "name_taken"
 
 
 class LastAdminError(ServiceError):
     """The change would leave no active administrator."""
 
-    code = "last_admin"
-
 
 class LocalLoginRefusedError(ServiceError):
     """The password is right, but this account must log in at the identity provider."""
 
-    code = "local_login_refused"
-
 
 class OutsideUserError(ServiceError):
     """The account is managed by the identity provider and must be changed there."""
-
-    code = "outside_user"

@@ -35,16 +35,20 @@ from engine.beam import (
     SimulatedReceiver,
     StatusPublisher,
     UdpSender,
+    Wire,
     WiredBeamLine,
     rtu_wire,
     tcp_wire,
 )
 from engine.core.clock import Clock
 from engine.core.errors import TidegateError
+from engine.core.plug_ins import BEAM_LINES, PlugInError, find_plug_in
 from service.core.settings.beam import READBACK, BeamSettings, LineKind, second_input_place, udp_target
 from service.core.settings.settings import Settings
 
 LinePart: TypeAlias = SimulatedBeamLine | WiredBeamLine
+NOTIFY_TIMEOUT_S = 1.0
+"""Longest wait for a receiver of status messages."""
 PREFIX = b"\0tidegate-target-"
 
 
@@ -125,7 +129,8 @@ def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str, *, i
         return SimulatedBeamLine(clock)
     wire = WIRES[kind](settings, is_session)
     looks_itself = place == READBACK and kind != "modbus-tcp"
-    return WiredBeamLine(wire, clock, settings.beam_times, look=wire.look if looks_itself else None)
+    look = getattr(wire, "look", None) if looks_itself else None
+    return WiredBeamLine(wire, clock, settings.beam_times, look=look)
 
 
 def _tcp(settings: BeamSettings, is_session: bool = False) -> ModbusWire:  # noqa: FBT001, FBT002 - in a table
@@ -143,6 +148,29 @@ def _rtu(settings: BeamSettings, is_session: bool) -> ModbusWire:  # noqa: FBT00
     )
 
 
+def _plugged(settings: BeamSettings, is_session: bool) -> Wire:  # noqa: ARG001, FBT001 - in a table
+    """Make the wire of a plug-in; supervision, lease and read-back are those of every line.
+
+    Raises
+    ------
+    PlugInError
+        It is not installed, not allowed, or makes no `Wire`.
+    """
+    name, _, address = settings.beam_plug_in.partition(":")
+    plug_in = find_plug_in(BEAM_LINES, name, settings.allowed_plug_ins)
+    make = plug_in.load()
+    try:
+        wire: Wire = make(address)  # type: ignore[operator]
+    except Exception as error:
+        msg = f"the beam line {name} ({plug_in.label}) refuses {address!r}: {type(error).__name__}: {error}"
+        raise PlugInError(msg) from error
+    missing = [one for one in vars(Wire) if not one.startswith("_") and not hasattr(wire, one)]
+    if missing:
+        msg = f"the beam line {name} ({plug_in.label}) lacks {', '.join(missing)}"
+        raise PlugInError(msg)
+    return wire
+
+
 def _relay(settings: BeamSettings, is_session: bool) -> RelayWire:  # noqa: FBT001 - in a table
     return RelayWire(
         device=settings.beam_relay_device,
@@ -155,16 +183,17 @@ def _relay(settings: BeamSettings, is_session: bool) -> RelayWire:  # noqa: FBT0
     )
 
 
-WIRES: dict[LineKind, Callable[[BeamSettings, bool], ModbusWire | RelayWire]] = {
+WIRES: dict[LineKind, Callable[[BeamSettings, bool], Wire]] = {
     "modbus-tcp": _tcp,
     "modbus-rtu": _rtu,
     "serial-relay": _relay,
+    "plug-in": _plugged,
 }
 
 
 def _senders(settings: BeamSettings) -> list[Sender]:
     over_udp = [UdpSender(*udp_target(target)) for target in settings.beam_notify_udp]
-    over_http = [HttpSender(url, timeout_s=settings.beam_notify_timeout_s) for url in settings.beam_notify_http]
+    over_http = [HttpSender(url, timeout_s=NOTIFY_TIMEOUT_S) for url in settings.beam_notify_http]
     return [*over_udp, *over_http]
 
 
@@ -174,8 +203,6 @@ def _utc_now() -> str:
 
 class TargetInUseError(TidegateError):
     """Another Tidegate program of this machine uses the same coil, register, port or camera."""
-
-    code = "target_in_use"
 
 
 @contextmanager
@@ -205,6 +232,8 @@ def targets_of(settings: Settings) -> tuple[str, ...]:
         found.append(f"serial port {_device(settings.beam_rtu_device)}")
     if "serial-relay" in settings.beam_lines:
         found.append(f"serial port {_device(settings.beam_relay_device)}")
+    if "plug-in" in settings.beam_lines:
+        found.append(f"beam line {settings.beam_plug_in}")
     if settings.camera_uri:
         found.append(f"camera {settings.camera_uri}")
     return tuple(found)

@@ -26,6 +26,7 @@ from service.core.schemas import sessions
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_on_state, make_beam_line
 from service.engine_host.camera_warmth import CameraKeeper, WarmingSource, WarmthFile, warm_up_s
+from service.engine_host.plug_ins import use_plug_ins
 from service.engine_host.protocols import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
 from service.engine_host.site_limits.calibrations import check_still_allowed, checked_camera
@@ -59,6 +60,7 @@ class LocalEngine:
         measuring: PipelineSettings | None = None,
         trainer: Callable[[], Trainer[Outcome]] = BackgroundTrainer,
     ) -> None:
+        use_plug_ins(settings)
         self._trainer = trainer
         self._settings = settings
         learned = PipelineSettings(

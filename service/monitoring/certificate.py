@@ -24,6 +24,8 @@ MAX_BYTES = 1024 * 1024
 LOOK_S = 5.0
 """Period at which the files are compared with what is served [s]."""
 STOP_S = 1.0
+WARN_DAYS = 30
+"""`/readyz` and the log warn this long before the certificate ends."""
 MISMATCH = "KEY_VALUES_MISMATCH"
 
 
@@ -92,7 +94,7 @@ class ServedCertificate:
         """
         if settings.tls_cert is None or settings.tls_key is None:
             return None
-        return cls(settings.tls_cert, settings.tls_key, warn_before=timedelta(days=settings.certificate_warn_days))
+        return cls(settings.tls_cert, settings.tls_key, warn_before=timedelta(days=WARN_DAYS))
 
     @property
     def ends_at(self) -> datetime:

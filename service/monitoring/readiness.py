@@ -18,14 +18,17 @@ from engine.core.clock import NS_PER_MS, Clock, MonotonicClock
 from service.core.errors import CameraLatencyError, QaOverdueError
 from service.core.schemas.base import Readiness, ReadinessCode, ReadinessReason
 from service.core.settings.settings import Settings
-from service.monitoring.certificate import ServedCertificate
+from service.monitoring.certificate import WARN_DAYS, ServedCertificate
 from service.qa.arming_requirement import refuse_without_qa
 from service.qa.latency.requirement import refuse_unmeasured_site
+from service.storage.audit.supervision import CLOCK_JUMP_MS
 from service.storage.believed_time import BelievedTime
 from service.storage.database.engine import Database
 
 MIB = 1024 * 1024
 MOST_LOG_MB = 64.0
+KEPT_MS = 1_000.0
+"""Time for which an answer is kept."""
 LONGEST_AGE_MS = 5_000.0
 """An older result is not returned, even while a probe hangs."""
 
@@ -78,8 +81,8 @@ class ReadinessProbe:
         self._cached: tuple[int, Readiness] | None = None
 
     def readiness(self) -> Readiness:
-        """Return what is missing; the result may be ``readiness_keep_ms`` old."""
-        cached = self._younger_than(self._settings.readiness_keep_ms)
+        """Return what is missing; the result may be ``KEPT_MS`` old."""
+        cached = self._younger_than(KEPT_MS)
         if cached is not None:
             return cached
         if not self._probing.acquire(blocking=False):
@@ -198,11 +201,11 @@ class ReadinessProbe:
         if refusal is not None:
             detail = f"{refusal}; the one that ends on {ends_at:%Y-%m-%d} is served, and the next start would fail"
             yield _reason(ReadinessCode.CERTIFICATE_UNREADABLE, detail)
-        if timedelta() < ends_at - self._now() <= timedelta(days=self._settings.certificate_warn_days):
+        if timedelta() < ends_at - self._now() <= timedelta(days=WARN_DAYS):
             yield _reason(ReadinessCode.CERTIFICATE_ENDS_SOON, f"the TLS certificate ends on {ends_at:%Y-%m-%d}")
 
     def _clock_trouble(self) -> Iterator[ReadinessReason]:
-        tolerance = timedelta(milliseconds=self._settings.audit_clock_jump_ms)
+        tolerance = timedelta(milliseconds=CLOCK_JUMP_MS)
         try:
             with self._database.read() as db:
                 latest = self._time.behind(db, tolerance)

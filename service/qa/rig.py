@@ -28,6 +28,7 @@ from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
 from service.engine_host.camera_warmth import CameraClaim, ClaimingSource
+from service.engine_host.plug_ins import use_plug_ins
 from service.engine_host.site_limits.calibrations import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.jobs import QaFiles
@@ -57,6 +58,7 @@ class EngineRig:
     """Builds jobs with a site's settings."""
 
     def __init__(self, settings: Settings) -> None:
+        use_plug_ins(settings)
         self._settings = settings
         self._clock: Clock = MonotonicClock()
 

@@ -56,7 +56,13 @@ from service.web.container import Container, open_container
 from service.web.dependencies import guarded, require_json
 from service.web.middleware.guard import Guard
 from service.web.middleware.request_log import Arrival, RequestLog
-from service.web.middleware.requests import RequestMiddleware, require_acceptable, require_known_query
+from service.web.middleware.requests import (
+    MAX_BODY_BYTES,
+    MAX_PLAN_BYTES,
+    RequestMiddleware,
+    require_acceptable,
+    require_known_query,
+)
 from service.web.middleware.reserved_threads import ReservedThreads
 from service.web.openapi import describe_contract, operation_id
 from service.web.stream import coach_hub, server_sent_events, websocket
@@ -66,6 +72,10 @@ from service.web.stream.metrics import StreamMetrics
 from service.web.stream.resume import Resumption
 
 TURN_S = 0.03
+STALL_S = 5.0
+"""A client that reads nothing for this time is disconnected."""
+RESUME_S = 600.0
+"""Longest part of the record that is resent to a client that reconnects."""
 """Period of reporting that the event loop turns; as short as that of the heartbeats that carry it."""
 LANGUAGE_LIST = "/lang/index.json"
 _NAME = re.compile(r"[a-z]{2}(-[A-Z]{2})?")
@@ -140,13 +150,13 @@ def _install(app: FastAPI, container: Container, settings: Settings) -> None:
         container.services.runner,
         container.services.alarms,
         max_clients=settings.max_live_clients,
-        stall_s=settings.live_stall_s,
+        stall_s=STALL_S,
         room=settings.room,
     )
-    app.state.coach = CoachHub(container.services.runner, container.services.coaching, stall_s=settings.live_stall_s)
+    app.state.coach = CoachHub(container.services.runner, container.services.coaching, stall_s=STALL_S)
     container.monitoring.metrics.add(StreamMetrics(app.state.live.reading))
     tails = SampleTails(SampleStore(settings.data_dir / SAMPLES_FOLDER))
-    app.state.resumption = Resumption(tails, longest_s=settings.live_resume_s)
+    app.state.resumption = Resumption(tails, longest_s=RESUME_S)
 
 
 def _refusal(error: TidegateError | SQLAlchemyError) -> str:
@@ -207,9 +217,9 @@ def create_app(
             Middleware(
                 RequestMiddleware,
                 host_names=settings.host_names,
-                max_body_bytes=settings.max_body_bytes,
+                max_body_bytes=MAX_BODY_BYTES,
                 max_body_s=(connection_limits or ConnectionLimits()).body_s,
-                larger_bodies={PLAN_IMPORT: settings.max_plan_bytes},
+                larger_bodies={PLAN_IMPORT: MAX_PLAN_BYTES},
             ),
             Middleware(
                 Guard,

@@ -12,6 +12,7 @@ from service.access.oidc.service import OidcService
 from service.access.service import AccessService, open_access
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.plug_ins import use_plug_ins
 from service.engine_host.protocols import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
@@ -33,7 +34,7 @@ from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
-from service.sessions.report.reports import ReportService
+from service.sessions.report.reports import report_service
 from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import SYSTEM, Event
@@ -254,7 +255,7 @@ def _open_access(dependencies: _Dependencies, storage: _Storage, work: _Work, on
     armed_operator = ArmedOperator(
         is_present=service.authenticator.is_present,
         armed=dependencies.equipment.armed,
-        hold=work.runner.hold_unattended,
+        hold=work.runner.commands.hold_unattended,
     )
     return _Access(service=service, oidc=oidc, armed_operator=armed_operator)
 
@@ -287,7 +288,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         runner=work.runner,
         arming=work.arming,
         samples=SampleService(database, storage.samples),
-        reports=ReportService(database, storage.samples, needs_two=settings.needs_countersignature),
+        reports=report_service(database, storage.samples, settings),
         traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),
@@ -332,4 +333,5 @@ def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, 
         "is_simulated_beam": dependencies.engine.is_simulated_beam,
         "hardware_dead_man": dependencies.settings.hardware_dead_man,
         "journal_folder": str(journals.folder),
+        "plug_ins": [f"{one.label}: {one.name}={one.sha256}" for one in use_plug_ins(dependencies.settings)],
     }

@@ -19,6 +19,7 @@ from service.core.conditional import Precondition
 from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.engine_host.protocols import CommandName
+from service.sessions.lifecycle.operator_commands import OperatorCommands
 from service.sessions.lifecycle.runner import SessionRunner
 from service.web import dependencies
 from service.web.dependencies import Services
@@ -34,6 +35,11 @@ class OperatorCall:
     caller: RequestCaller
     services: Services
     if_match: Precondition
+
+    @property
+    def commands(self) -> OperatorCommands:
+        """What operators tell the running session."""
+        return self.services.runner.commands
 
     @contextmanager
     def acting(self, session_id: str, claimed: str) -> Iterator[str]:
@@ -56,9 +62,9 @@ class OperatorCall:
         seen = request.state
         if seen is None and self.if_match.names_a_state:
             # Read before the ETag is compared: what was decided earlier changed the ETag, what comes later the state.
-            seen = self.services.runner.arming_state(session_id)
+            seen = self.commands.arming_state(session_id)
         with self.acting(session_id, request.operator) as operator:
-            return self.services.runner.arm(
+            return self.commands.arm(
                 session_id,
                 operator,
                 head=head,
@@ -93,7 +99,7 @@ class WithdrawalCall:
         return await self.act(session_id, partial(self._submitted, name))
 
     def _submitted(self, name: CommandName, session_id: str, operator: str) -> sessions.SessionDetail:
-        return self.runner.command(session_id, name, operator, is_person=self.is_person)
+        return self.runner.commands.command(session_id, name, operator, is_person=self.is_person)
 
 
 # On the event loop, like all dependencies: a request takes one worker thread, for its route.

@@ -18,6 +18,7 @@ from service.monitoring.certificate import ServedCertificate
 from service.web.connections.http_protocol import BoundedHttp
 from service.web.connections.registry import ConnectionRegistry
 from service.web.connections.socket_protocol import BoundedSocket
+from service.web.middleware.requests import MAX_PLAN_BYTES
 from service.web.shutdown import Leave, Shutdown
 
 LOG_LEVEL = "warning"
@@ -26,7 +27,6 @@ MAX_INCOMING_MESSAGE_BYTES = 4096
 GOODBYE_S = 1
 """Time for requests in progress and closing streams after the beam is held [s]."""
 TLS_GOODBYE_S = 5.0
-MAX_BODY_BYTES = 1_048_576
 
 
 class BeamFirstServer(uvicorn.Server):
@@ -109,7 +109,6 @@ def make_server(
     certificate: ServedCertificate | None = None,
     connection_limits: ConnectionLimits | None = None,
     trusted_proxies: Sequence[str] = (),
-    max_body_bytes: int = MAX_BODY_BYTES,
     leave: Leave | None = None,
     on_listening: Callable[[], None] = lambda: None,
 ) -> BeamFirstServer:
@@ -119,8 +118,6 @@ def make_server(
     ----------
     connection_limits
         What a connection may take; from ``trusted_proxies`` there may be as many as there are.
-    max_body_bytes
-        The largest body that any call takes; here it bounds the bytes on the wire, in the application the body.
     leave
         Ends the process where something does not let go of it in time; left out, it is waited for.
     on_listening
@@ -128,7 +125,7 @@ def make_server(
     """
     connection_limits = connection_limits or ConnectionLimits()
     registry = ConnectionRegistry(connection_limits, trusted_proxies=trusted_proxies)
-    http = partial(BoundedHttp, registry=registry, max_body_bytes=max_body_bytes)
+    http = partial(BoundedHttp, registry=registry, max_body_bytes=MAX_PLAN_BYTES)
     config = uvicorn.Config(
         app,
         host=host,

@@ -8,12 +8,21 @@ import pytest
 
 from engine.core.clock import NS_PER_S
 from service.core.settings.settings import Settings
-from service.sessions.lifecycle import commands
+from service.sessions.lifecycle import commands, runner, start
 from service.web.app import create_app
 from tests.support.database.migrated import with_tables
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, make_calibration, make_session_body, upload
 from tests.support.service.fake_engine import FakeEngine, FakeRunning
+
+
+@pytest.fixture(autouse=True)
+def quick_answers() -> Iterator[None]:
+    """Shorten the wait for the engine's answer, and for a batch of rows."""
+    with pytest.MonkeyPatch.context() as patch:  # a test's own patches end before its service does
+        patch.setattr(runner, "COMMAND_S", 0.2)
+        patch.setattr(start, "SAMPLE_BATCH_S", 0.02)
+        yield
 
 
 @pytest.fixture
@@ -25,8 +34,6 @@ def settings(tmp_path: Path, database_url: str | None) -> Settings:
         data_dir=tmp_path / "data",
         recordings_dirs=(recordings,),
         allowed_hosts=("testserver",),
-        command_timeout_s=0.2,
-        sample_batch_ms=20.0,
         database_url=database_url,
     )
 

@@ -14,7 +14,6 @@ from verification.load.service import LoadError, Service, learn, served, start_s
 
 QUICK = {
     "TIDEGATE_TRAINING_MIN_FRAMES": "150",
-    "TIDEGATE_TRAINING_MAX_FRAMES": "400",
     "TIDEGATE_TRAINING_MIN_CYCLES": "3",
     "TIDEGATE_TRAINING_MIN_SECONDS": "8",
 }

@@ -14,7 +14,6 @@ QUICK_TO_LEARN = Plan(
     name="learning",
     settings={
         "TRAINING_MIN_FRAMES": 150,
-        "TRAINING_MAX_FRAMES": 400,
         "TRAINING_MIN_CYCLES": 3,
         "TRAINING_MIN_SECONDS": 8.0,
     },

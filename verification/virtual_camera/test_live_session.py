@@ -35,7 +35,7 @@ def live(held):
             held.begin()
         held.turn_on()
         held.stop()
-        (model,) = held.client.get(f"/api/v1/sessions/{held.session_id}/models").json()["items"]
+        model, *_ = held.client.get(f"/api/v1/sessions/{held.session_id}/models").json()["items"]
         held.model_id = model["id"]
     if held.detail["status"] != "running":
         held.begin()

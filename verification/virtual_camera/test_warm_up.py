@@ -26,7 +26,7 @@ def test_a_cold_camera_has_no_beam_until_it_is_warm_and_stays_warm_between_two_s
         assert "camera_warming" in held.reasons()
         assert on_ns - begun_ns > 0.9 * 60e9 * WARM_UP_MIN
         held.stop()
-        (model,) = held.client.get(f"/api/v1/sessions/{held.session_id}/models").json()["items"]
+        model, *_ = held.client.get(f"/api/v1/sessions/{held.session_id}/models").json()["items"]
         held.model_id = model["id"]
         ended_s = time.clock_gettime(time.CLOCK_BOOTTIME)
 

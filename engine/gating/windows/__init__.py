@@ -17,7 +17,7 @@ from engine.gating.windows.amplitude import (
     Unit,
     amplitude_window,
 )
-from engine.gating.windows.breath_hold import HOLD_BOUNDS, BreathHoldWindow, HoldKind
+from engine.gating.windows.breath_hold import HOLD_BOUNDS, LEVEL_NOT_SET, BreathHoldWindow, HoldKind
 from engine.gating.windows.conditions import (
     BreathDepth,
     ConditionState,
@@ -47,6 +47,7 @@ from engine.gating.windows.phase import (
 
 __all__ = [
     "HOLD_BOUNDS",
+    "LEVEL_NOT_SET",
     "MAX_CONDITIONS",
     "MAX_MOTION_MM",
     "MAX_PERCENT",

@@ -31,6 +31,8 @@ HOLD_BOUNDS: dict[str, tuple[float, float]] = {
 }
 """Lowest and highest value of each setting; ``still`` and ``max_drift`` are mm, or l of a volume."""
 
+LEVEL_NOT_SET = say("the level of the breath hold is not set: hold a breath, and set the window there")
+
 
 class HoldKind(enum.StrEnum):
     """Which end of the breath is held."""
@@ -57,6 +59,9 @@ class BreathHoldWindow:
         Largest distance from the settled level [mm or l]; beyond it the hold ends, until the patient has breathed.
     timeout_s
         Longest hold [s]: of one breath, through whatever windows; the least of theirs counts.
+    is_level_set
+        False until a level was taken from a breath that was held: ``level`` is in per cent then, and no range
+        converts it.
     """
 
     level: AmplitudeWindow
@@ -65,6 +70,7 @@ class BreathHoldWindow:
     still: float = 1.0
     max_drift: float = 2.0
     timeout_s: float = 25.0
+    is_level_set: bool = True
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their bounds."""
@@ -73,6 +79,8 @@ class BreathHoldWindow:
         object.__setattr__(self, "kind", HoldKind(self.kind))
         for name, (low, high) in HOLD_BOUNDS.items():
             check_number(name, getattr(self, name), low, high)
+        if not self.is_level_set and not self.level.needs_ranges:
+            raise InvalidValueError("is_level_set", value=False, bound="true for a level in mm or l")
 
     @property
     def leaves(self) -> "tuple[BreathHoldWindow, ...]":
@@ -86,12 +94,12 @@ class BreathHoldWindow:
 
     @property
     def needs_ranges(self) -> bool:
-        """Whether its level is in per cent."""
+        """Whether its level is in per cent, or not set."""
         return self.level.needs_ranges
 
     def resolved(self, ranges: Ranges) -> "BreathHoldWindow":
-        """Convert per cent to mm or l."""
-        return replace(self, level=self.level.resolved(ranges))
+        """Convert per cent to mm or l; a level that is not set stays so."""
+        return replace(self, level=self.level.resolved(ranges)) if self.is_level_set else self
 
     def shifted(self, choice: SignalChoice, by: float) -> "BreathHoldWindow":
         """Move the level by a baseline correction."""
@@ -113,7 +121,7 @@ class BreathHoldWindow:
             return outside(
                 interrupted((state,))[0],
                 HoldReason.BREATH_HOLD_AWAITED if inside.reason is HoldReason.OUTSIDE_WINDOW else inside.reason,
-                inside.detail,
+                inside.detail if self.is_level_set else LEVEL_NOT_SET,
             )
         if state.stage in ENDED_BY:
             return outside(state, ENDED_BY[state.stage], self._needs_a_breath())

@@ -73,17 +73,18 @@ _REQUIRED = (
 _JSON = StrictJson()
 
 
-def save_model(model: MotionModel, path: Path) -> None:
+def save_model(model: MotionModel, path: str | Path) -> None:
     """Write a model atomically."""
     arrays = {name: getattr(model, name) for name in ARRAYS}
     arrays |= {name: getattr(model, name) for name in OPTIONAL_ARRAYS if getattr(model, name) is not None}
     header = np.frombuffer(header_text(model).encode(), dtype=np.uint8)
-    with whole_file(path, is_durable=True) as file:
+    with whole_file(Path(path), is_durable=True) as file:
         np.savez_compressed(file, allow_pickle=False, header=header, **arrays)
 
 
-def load_model(path: Path) -> MotionModel:
+def load_model(path: str | Path) -> MotionModel:
     """Read a model; raise ModelError naming the fault if the file is invalid."""
+    path = Path(path)
     try:
         arrays = _arrays(path)
         return _model(_JSON.parse(arrays.pop(HEADER).tobytes()), arrays)

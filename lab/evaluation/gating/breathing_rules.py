@@ -8,7 +8,7 @@ Made courses in which a rule on breathing has to end the beam: ceased breathing,
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,28 +16,20 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from engine.core.breath import WHOLE
-from engine.core.clock import NS_PER_S
-from engine.core.commands import Arm
-from engine.core.frames import BoolArray, FloatArray, Measurement, MeasurementState, Motion, Projection, SeenShares
-from engine.core.gate_state import GateState, HoldReason
-from engine.gating.gate import Gate, step_gate
+from engine.core.frames import BoolArray, FloatArray
+from engine.core.gate_state import HoldReason
 from engine.gating.limits import GateLimits
-from engine.gating.supervision.patient_shift import BREATH_SHARE, HALF, Baseline
+from engine.gating.supervision.patient_shift import BREATH_SHARE, HALF
 from engine.gating.windows import AmplitudeWindow
-from engine.motion.breathing import BreathingState, follow_breathing, start_breathing, with_baseline
+from engine.offline.signal_gate import FPS, gate_frames, learn_signal
 from engine.qa.recorded_traces import read_trace
 from lab.evaluation.breathing.bench import DRIFTS_MM_S, FIRST_SEED
 from lab.evaluation.breathing.trials import make_trial
 
-FPS = 30.0
 LEARN_S = 20.0
-PERCENTILES = (5.0, 95.0)
-"""The learned range of the signal, in per cent of its values while learning."""
 SMOOTHING_S = 0.3
 LONGEST_PERIODS = 2.0
 PROMINENCE_SHARE = 0.25
-SEEN_ALL = SeenShares(whole=1.0, thorax=1.0, abdomen=1.0, cells=np.ones((1, 1)))
 EXHALE = (-60.0, 35.0)
 WINDOWS = {"exhale": EXHALE, "narrow exhale": (-15.0, 25.0)}
 """Edges in per cent of the learned range."""
@@ -109,35 +101,28 @@ def gate_course(name: str, time_s: FloatArray, value_mm: FloatArray, edges: tupl
     time_s, value_mm
         Increasing times [s] and values, shape (n,); inhale is positive. Resampled at 30 frames a second.
     """
-    seconds = np.arange(time_s[0], time_s[-1], 1.0 / FPS)
-    values = np.interp(seconds, time_s, value_mm)
-    learned = int(LEARN_S * FPS)
-    if len(seconds) <= learned:
+    learned = learn_signal(time_s, value_mm, LEARN_S)
+    if learned is None:
         return None
-    state = start_breathing(WHOLE)
-    for now_s, value in zip(seconds[:learned].tolist(), values[:learned].tolist(), strict=True):
-        state = follow_breathing(state, now_s, value)
-    lows = [low for _, low in state.history.lows][-3:]
-    if state.history.habit is None or len(lows) < 2:
-        return None
-    reference = float(np.mean(lows))
-    low, high = np.percentile(values[:learned], PERCENTILES) - reference
-    lower, upper = (float(low + 0.01 * edge * (high - low)) for edge in edges)
+    low, high = learned.learned.low, learned.learned.high
+    lower, upper = (low + 0.01 * edge * (high - low) for edge in edges)
     limits = GateLimits(
         window=AmplitudeWindow(lower=lower, upper=upper), operator_timeout_s=0.0, max_jump_mm=20.0, is_played=True
     )
-    later, levels = seconds[learned:], values[learned:] - reference
-    frames = list(_frames(with_baseline(state, reference), later, levels, reference))
-    is_on, reasons = _gated(limits, frames, has_rules=True)
-    would_be_on, _ = _gated(limits, frames, has_rules=False)
-    exhales_mm, lengths_s = _exhales_and_breaths(seconds, values - reference, state.history.habit.rise)
+    frames = list(learned.frames())
+    is_on, reasons = gate_frames(limits, frames)
+    would_be_on, _ = gate_frames(limits, frames, has_rules=False)
+    seconds = np.arange(time_s[0], time_s[-1], 1.0 / FPS)
+    levels = np.interp(seconds, time_s, value_mm) - learned.reference
+    exhales_mm, lengths_s = _exhales_and_breaths(seconds, levels, learned.rise_mm)
+    later = -len(learned.time_s)
     return GatedCourse(
         name=name,
-        time_s=later,
-        value_mm=levels,
-        exhales_mm=exhales_mm[:, learned:],
-        is_breathing=lengths_s[learned:] <= LONGEST_PERIODS * state.history.habit.period_s,
-        bound_mm=min(limits.max_baseline_drift_mm, HALF * (upper - lower), BREATH_SHARE * state.history.habit.rise),
+        time_s=learned.time_s,
+        value_mm=learned.value_mm,
+        exhales_mm=exhales_mm[:, later:],
+        is_breathing=lengths_s[later:] <= LONGEST_PERIODS * learned.period_s,
+        bound_mm=min(limits.max_baseline_drift_mm, HALF * (upper - lower), BREATH_SHARE * learned.rise_mm),
         is_on=is_on,
         would_be_on=would_be_on,
         reasons=reasons,
@@ -155,60 +140,6 @@ def gate_trace(path: Path, window: str) -> list[GatedCourse]:
     trace = read_trace(path)
     course = gate_course(path.name, trace.time_s, trace.motion_mm, WINDOWS[window])
     return [] if course is None else [course]
-
-
-def _frames(state: BreathingState, seconds: FloatArray, levels: FloatArray, reference: float) -> Iterator[Measurement]:
-    """Yield the course as measured frames, their breath followed by the monitor."""
-    for index, (now_s, level) in enumerate(zip(seconds.tolist(), levels.tolist(), strict=True)):
-        state = follow_breathing(state, now_s, level + reference)
-        now_us, now_ns = round(1e6 * now_s), round(NS_PER_S * now_s)
-        yield Measurement(
-            frame_index=index,
-            timestamp_us=now_us,
-            received_ns=now_ns,
-            measured_ns=now_ns,
-            queue_empty_ns=now_ns,
-            missed_frames=0,
-            state=MeasurementState.MEASURING,
-            motion=_motion(level),
-            breaths=(state.breath,),
-        )
-
-
-def _motion(level_mm: float) -> Motion:
-    return Motion(
-        whole_mm=level_mm,
-        thorax_mm=level_mm,
-        abdomen_mm=level_mm,
-        volume_l=0.0,
-        regions_mm=np.zeros((1, 1)),
-        regions_depth_mm=np.ones((1, 1)),
-        points_mm=np.empty(0),
-        projection=Projection(
-            beta=np.zeros(1), coefficients=np.zeros(1), residual_mm=0.0, valid_share=1.0, inlier_share=1.0
-        ),
-        seen=SEEN_ALL,
-        reference_seen=SEEN_ALL,
-    )
-
-
-def _gated(
-    limits: GateLimits, frames: list[Measurement], *, has_rules: bool
-) -> tuple[BoolArray, tuple[HoldReason | None, ...]]:
-    """Return per frame whether the beam is on, and the gate's reason."""
-    gate, baseline = Gate(), Baseline(limits)
-    is_on, reasons = [], []
-    for number, frame in enumerate(frames):
-        now_ns = frame.received_ns
-        event = frame if has_rules else replace(frame, breaths=())
-        drift = baseline.check(frame, limits.window) if has_rules else None
-        for one in (event,) if drift is None else (drift, event, drift):
-            gate = step_gate(gate, one, now_ns, limits)
-        if number == 0:
-            gate = step_gate(gate, Arm(operator="evaluation"), now_ns, limits)
-        is_on.append(gate.state is GateState.BEAM_ON)
-        reasons.append(gate.reason)
-    return np.array(is_on, dtype=np.bool_), tuple(reasons)
 
 
 def _exhales_and_breaths(seconds: FloatArray, values: FloatArray, rise_mm: float) -> tuple[FloatArray, FloatArray]:

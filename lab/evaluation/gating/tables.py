@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.core.frames import BoolArray
-from lab.evaluation.gating.breathing_rules import FPS, RULES, GatedCourse, StoppedTrial
+from engine.offline.signal_gate import FPS
+from lab.evaluation.gating.breathing_rules import RULES, GatedCourse, StoppedTrial
 from lab.evaluation.gating.timing import EdgeTiming
 from lab.evaluation.table import Cell, Table
 

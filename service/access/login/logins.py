@@ -90,8 +90,8 @@ class LoginService:
             self._refused_logins.count("locked out", address)
             raise LockedOutError(left_s)
 
-    def log_in(self, attempt: Attempt) -> OpenedLogin:
-        """Verify a password and open a log-in; takes tens of milliseconds, so call it in the password thread.
+    def verify(self, attempt: Attempt) -> User:
+        """Verify a password, and open nothing; takes tens of milliseconds, so call it in the password thread.
 
         One hash is verified per call, a dummy one for an unknown name, so that neither the answer nor its duration
         reveals which names exist.
@@ -109,6 +109,11 @@ class LoginService:
         if user is None or not is_right or user.is_disabled:
             self._record_failure(attempt, user)
             raise LoginFailedError
+        return user
+
+    def log_in(self, attempt: Attempt) -> OpenedLogin:
+        """Verify a password and open a log-in; raise as `verify` does."""
+        user = self.verify(attempt)
         is_break_glass = self.local_rule(user, attempt.reason)
         with self._store.changing:
             user = self._store.users[user.key]

@@ -28,6 +28,8 @@ MAX_ANSWER_BYTES = 512 * 1024
 WHOLE_FACTOR = 2.0
 """A whole call takes at most this many times the time-out for a single read."""
 MAX_CALLS = 8
+TIMEOUT_S = 5.0
+"""Longest wait for the provider."""
 _CALL_SLOTS = threading.BoundedSemaphore(MAX_CALLS)
 
 

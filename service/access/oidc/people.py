@@ -13,6 +13,7 @@ from datetime import datetime
 from engine.core.errors import TidegateError
 from service.access.accounts.records import NOT_IN_NAMES, check_name
 from service.access.oidc.http_client import (
+    TIMEOUT_S,
     OidcReason,
     OidcRefusedError,
     OidcUnavailableError,
@@ -61,6 +62,8 @@ class AuthorizationResponse:
 
 class NoRoleError(OidcRefusedError):
     """The provider authenticated the user, but none of the user's groups has a role here."""
+
+    code = OidcRefusedError.code
 
     def __init__(self, person: OidcUser) -> None:
         self.person = person
@@ -156,7 +159,7 @@ class OidcPeople:
         except OidcRefusedError as error:
             newer = None
             if error.reason is OidcReason.UNKNOWN_KEY:
-                newer = self._provider.newer_than(known, self._settings.oidc_timeout_s)
+                newer = self._provider.newer_than(known, TIMEOUT_S)
             if newer is None:
                 raise
             return self._check(text, access_token, attempt, newer)

@@ -12,7 +12,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.core.clock import Clock, MonotonicClock
 from service.access.accounts.records import MACHINE_PREFIX, MAX_LENGTH, User
 from service.access.login.logins import LOGIN, OpenedLogin
-from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError, ProviderClient
+from service.access.oidc.http_client import (
+    TIMEOUT_S,
+    OidcReason,
+    OidcRefusedError,
+    OidcUnavailableError,
+    ProviderClient,
+)
 from service.access.oidc.pending_logins import FailureLimiter, PendingLogins
 from service.access.oidc.people import AuthorizationRedirect, AuthorizationResponse, NoRoleError, OidcPeople, OidcUser
 from service.access.oidc.provider import Provider
@@ -30,6 +36,9 @@ CLIENT_CLAIMS = ("client_id", "azp", "appid")
 SHORTEST_REASON = 8
 LONGEST_REASON = 500
 MAX_CONCURRENT = 4
+KEY_REFRESH_S = 300.0
+MAX_KEY_AGE_S = 24 * 3600.0
+"""Longest use of the provider's keys while it is down."""
 """Log-ins that may wait for the provider at once: each occupies a request thread that hold and stop also need."""
 COUNTED_REASONS = frozenset({OidcReason.STATE, OidcReason.CODE, OidcReason.PROVIDER_REFUSED, OidcReason.ISSUER})
 """Refusals that any client can cause at will; they are counted instead of audited one by one."""
@@ -179,15 +188,15 @@ class OidcService:
         client = ProviderClient(
             client_id=settings.oidc_client_id,
             client_secret=settings.oidc_client_secret(),
-            timeout_s=settings.oidc_timeout_s,
+            timeout_s=TIMEOUT_S,
             ca_file=settings.oidc_ca_file,
         )
         provider = self._provider = Provider(
             issuer=settings.oidc_issuer,
             client=client,
             clock=clock,
-            refresh_s=60.0 * settings.oidc_key_refresh_min,
-            max_age_s=3600.0 * settings.oidc_max_key_age_h,
+            refresh_s=KEY_REFRESH_S,
+            max_age_s=MAX_KEY_AGE_S,
         )
         if settings.has_oidc_people:
             self._people = OidcPeople(

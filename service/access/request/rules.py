@@ -80,6 +80,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("POST", f"{SESSION}/reference"): Permission.GATE_REFERENCE,
     ("POST", f"{SESSION}/position-check"): Permission.GATE_REFERENCE,
     ("POST", f"{SESSION}/countersign"): Permission.GATE_REFERENCE,
+    ("POST", f"{SESSION}/note"): Permission.GATE_REFERENCE,
     ("POST", f"{SESSION}/signature"): Permission.GATE_REFERENCE,
     ("POST", f"{SESSION}/presence"): Permission.GATE_ARM,
     ("POST", f"{SESSION}/arm"): Permission.GATE_ARM,

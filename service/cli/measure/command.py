@@ -189,10 +189,10 @@ def measure(
 
 def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
     """Measure one recording in this process."""
+    stored = describe(task.recording)
     if not is_calibration_given:
         say(f"Calibration: {task.calibration}")
     cameras = load_calibration(task.calibration)
-    stored = describe(task.recording)
     if stored.impossible_times is not None:
         raise RecordingError(f"{task.recording.name}: its times are impossible: {stored.impossible_times}")
     if stored.mirrored is not None:

@@ -102,6 +102,7 @@ class Problem(Answer):
     field: str | None = Field(default=None, examples=["window.lower_mm"])
     value: str | None = Field(default=None, examples=["-400.0"])
     bound: str | None = Field(default=None, examples=["at least -100"])
+    remedy: str | None = Field(default=None, description="What to do, or to call next")
     sentences: list[SentenceParts] | None = Field(
         default=None, description="What the sentences with values in `detail` were made from"
     )

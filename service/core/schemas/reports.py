@@ -2,11 +2,12 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, AwareDatetime, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, AwareDatetime, Field, SecretStr, StringConstraints
 
-from service.core.schemas.base import Answer, Identifier, Operator, Request, broken, printable_or_empty
+from service.core.schemas.base import Answer, Identifier, Operator, Request, printable_or_empty
 from service.core.schemas.sessions import HoldCount, LatencyView, Session
 
+SignatureMeaning = Literal["checked", "approved"]
 ResidualSignal = Literal["whole", "thorax", "abdomen"]
 
 
@@ -34,6 +35,15 @@ class Range(Answer):
     high: float = Field(description="95th percentile")
 
 
+class Pulse(Answer):
+    """One stretch of consecutive samples with the beam on; times since the first sample."""
+
+    from_s: float
+    to_s: float
+    seconds: float
+    spread: float | None = Field(description="Largest minus least of the gated signal in it [mm; l of a volume]")
+
+
 class ReportFigures(Answer):
     """What is counted from the session's samples alone; times are from each sample to the next, at most a second."""
 
@@ -46,6 +56,7 @@ class ReportFigures(Answer):
     duty_percent: float | None = Field(description="Beam on while armed; null if never armed")
     pulses: int = Field(description="Stretches of consecutive samples with the beam on")
     pulse_s: Range | None
+    pulse_list: list[Pulse] = Field(default=[], description="Each of them")
     holds: list[HeldTime]
     motion: list[GatedMotion] = Field(description="Empty without beam on")
     cells: list[list[float | None]] = Field(
@@ -135,6 +146,7 @@ class ReportSignature(Answer):
     at: AwareDatetime
     name: str
     is_signed: bool = Field(description="false: a note only")
+    meaning: SignatureMeaning | None = Field(default=None, description="Null of a note, and of earlier signatures")
     note: str
     content_sha256: str = Field(description="Of the content of the report that the person looked at")
     is_of_this: bool = Field(description="false: the report's content has changed since")
@@ -147,29 +159,57 @@ class ReportWindow(Answer):
     actor: str
     text: str = Field(description="Its conditions in words, or how it was moved")
     reason: str
+    lower: float | None = Field(
+        default=None, description="Of its first condition, in mm or l; null in per cent or phase"
+    )
+    upper: float | None = None
 
 
-class SignatureRequest(Request):
-    """A note, or a signature under the report that was looked at."""
-
+class _OfReport(Request):
     operator: Operator = ""
-    is_signed: bool = Field(default=True, description="false: a note only, which needs a text")
-    note: Annotated[str, StringConstraints(max_length=1000), AfterValidator(printable_or_empty)] = ""
     content_sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] = Field(
         description="That of the report that was looked at; another one is refused"
     )
 
-    @model_validator(mode="after")
-    def _needs_a_text(self) -> "SignatureRequest":
-        if not self.is_signed and not self.note:
-            raise broken("note", self.note, "given where nothing is signed")
-        return self
+
+class NoteRequest(_OfReport):
+    """A note under the report that was looked at; it signs nothing."""
+
+    note: Annotated[str, StringConstraints(min_length=1, max_length=1000), AfterValidator(printable_or_empty)]
+
+
+class SignatureRequest(_OfReport):
+    """A signature under the report that was looked at, and what it means."""
+
+    meaning: SignatureMeaning = Field(description="checked: figures and deviations were looked at; approved: released")
+    password: SecretStr | None = Field(
+        default=None,
+        min_length=1,
+        max_length=1_000,
+        description="The person's own; left out by people of an identity provider, who log in again just before",
+    )
+    note: Annotated[str, StringConstraints(max_length=1000), AfterValidator(printable_or_empty)] = ""
+
+
+class ReportHead(Answer):
+    """Place, equipment and persons of the session; the content hash covers the first three."""
+
+    room: str
+    machine: str
+    armed_by: list[str] = Field(description="Who armed, in the order of their first time")
+    plan_label: str = Field(description="Of the imported RT Plan; empty without one")
+    plan_uid: str
+    camera: str = Field(description="Name in the calibration, and the serial number where it has one")
+    calibrated_at: AwareDatetime | None = Field(description="When the calibration was uploaded")
+    qa: str = Field(description="Verdict of the newest daily QA in the 24 h before the start; empty without one")
+    first_sample_at: AwareDatetime | None = Field(description="From which the times of figures and pulses count")
 
 
 class SessionReport(Answer):
     """A session as its report states it."""
 
     session_id: Identifier
+    head: ReportHead
     session: Session = Field(description="Names, operator and prescribed window as the audit has them")
     differs: list[str] = Field(
         description="Whose signature is of another content, and what the database states otherwise than the audit; "

@@ -516,6 +516,7 @@ class Session(Answer):
     created_at: AwareDatetime
     started_at: AwareDatetime | None
     ended_at: AwareDatetime | None
+    signed_by: list[str] = Field(default=[], description="Who signed the report; in the list of sessions only")
 
 
 class SessionDetail(Session):
@@ -626,6 +627,7 @@ class DeviceKind(Answer):
     label: str = Field(examples=["the RealSense SDK"])
     is_installed: bool
     install_hint: str = Field(description="What installs the SDK where it is missing")
+    plug_in: str = Field(default="", description="Distribution and version, of a camera that is no part of Tidegate")
 
 
 def device_kinds(kinds: Iterable[object]) -> list[DeviceKind]:

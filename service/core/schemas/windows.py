@@ -58,7 +58,9 @@ class Condition(Request):
     """A condition that the breathing must meet."""
 
     kind: ConditionKind = Field(
-        default="amplitude", description="`breath_hold` and `amplitude` need edges, `phase` needs a range of phases"
+        default="amplitude",
+        description="`amplitude` needs edges, `phase` a range of phases; a `breath_hold` without edges gets them from "
+        "a breath that was held (`POST /sessions/{id}/window`), and is not armed before",
     )
     signal: SignalName = "whole"
     row: int | None = Field(
@@ -164,8 +166,11 @@ class Condition(Request):
                     raise InvalidValueError(name, None, "given for kind phase")
             numbers = {name: getattr(self, name) for name in PHASE_FIELDS}
             return PhaseWindow(choice=choice, **numbers)
-        edges = {edge: getattr(self, f"{edge}_{self.unit}") for edge in EDGES}
-        level = AmplitudeWindow(choice=choice, unit=Unit(self.unit), **edges)
+        if self._awaits_edges:
+            level = AmplitudeWindow(choice=choice, unit=Unit.PERCENT, lower=0.0, upper=100.0)
+        else:
+            edges = {edge: getattr(self, f"{edge}_{self.unit}") for edge in EDGES}
+            level = AmplitudeWindow(choice=choice, unit=Unit(self.unit), **edges)
         if self.kind == "amplitude":
             return level
         unit = self._length
@@ -174,8 +179,13 @@ class Condition(Request):
             kind=self.hold or "inspiration",
             still=getattr(self, f"still_{unit}"),
             max_drift=getattr(self, f"max_drift_{unit}"),
+            is_level_set=not self._awaits_edges,
             **{name: getattr(self, name) for name in ("settle_ms", "timeout_s")},
         )
+
+    @property
+    def _awaits_edges(self) -> bool:
+        return self.kind == "breath_hold" and all(getattr(self, name) is None for name in EDGE_FIELDS)
 
     @property
     def _length(self) -> str:
@@ -209,7 +219,9 @@ class Condition(Request):
             raise broken("name", self.name, bound)
 
     def _check_edges(self) -> None:
-        """Require exactly one pair of edges."""
+        """Require exactly one pair of edges, or none of a breath hold."""
+        if self._awaits_edges:
+            return
         given = [unit for unit in HYSTERESIS if any(getattr(self, f"{edge}_{unit}") is not None for edge in EDGES)]
         unit = given[0] if given else self._length
         for other in given[1:]:

@@ -26,8 +26,6 @@ class AccessSettings(Section):
     allowed_origins: Env[NameList] = Field(
         default=(), description="Origins of other pages that may open the live stream"
     )
-    max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
-    command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
     host: Env[str] = Field(default="127.0.0.1", min_length=1, max_length=253)
     tls_cert: Env[Path | None] = Field(default=None, description="The service's certificate chain (PEM)")
     tls_key: Env[Path | None] = Field(default=None, description="The certificate's key")
@@ -36,15 +34,6 @@ class AccessSettings(Section):
         default=(),
         max_length=MOST_PROXIES,
         description="Addresses or networks whose X-Forwarded-For is trusted, comma-separated; default: loopback",
-    )
-    certificate_warn_days: int = Field(
-        default=30, ge=1, le=365, description="`/readyz` warns this long before the TLS certificate expires"
-    )
-    idempotency_days: float = Field(
-        default=7.0,
-        ge=1.0,
-        le=365.0,
-        description="Lifetime of an Idempotency-Key; after it the key is treated as new",
     )
     login_hours: Annotated[float, In("access")] = Field(default=12.0, ge=0.25, le=24.0, description="Longest log-in")
     login_idle_min: Annotated[float, In("access")] = Field(

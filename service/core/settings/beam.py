@@ -7,7 +7,7 @@ import re
 from typing import Annotated, Literal, Self, TypeAlias
 from urllib.parse import urlsplit
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 from pydantic_settings import NoDecode
 
 from engine.beam import (
@@ -30,10 +30,12 @@ from engine.beam import (
 from engine.core.errors import InvalidValueError
 from service.core.settings.names import PREFIX, Env, In, Section, setting_name
 
-LineKind: TypeAlias = Literal["simulated", "modbus-tcp", "modbus-rtu", "serial-relay"]
+LineKind: TypeAlias = Literal["simulated", "modbus-tcp", "modbus-rtu", "serial-relay", "plug-in"]
 Mode: TypeAlias = Literal["research", "clinical"]
+PlugInEntry = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*=[0-9a-f]{64}$")]
 Targets = Annotated[tuple[str, ...], NoDecode]
 MAX_TARGETS = 8
+MAX_PLUG_INS = 32
 MAX_TARGET_LENGTH = 500
 NO_CHANNEL = -1
 READBACK = "readback"
@@ -64,6 +66,7 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
         "beam_relay_expected_channel",
         *TIMES,
     ),
+    "plug-in": ("beam_plug_in", *TIMES),
 }
 SIGNALS = ("beam_on_input", "beam_modbus_expected_coil", "beam_relay_expected_channel", "beam_simulated_accelerator_ms")
 NOT_PLACES = {*TIMES, *SIGNALS, *COMPARISON}
@@ -72,6 +75,7 @@ NEEDED_BY: dict[LineKind, str] = {
     "modbus-tcp": "beam_modbus_host",
     "modbus-rtu": "beam_rtu_device",
     "serial-relay": "beam_relay_device",
+    "plug-in": "beam_plug_in",
 }
 SECOND_INPUTS = ("beam_second_input", "beam_second_input_2")
 DEVICES = ("beam_rtu_device", "beam_relay_device")
@@ -89,6 +93,18 @@ class BeamSettings(Section):
     beam_line: Env[LineKind] = "simulated"
     beam_line_2: Env[LineKind | None] = Field(
         default=None, description="A second line of another kind; the beam is on only if both permit"
+    )
+    plug_ins: Annotated[tuple[PlugInEntry, ...] | None, In("site")] = Field(
+        default=None,
+        max_length=MAX_PLUG_INS,
+        description="Cameras and beam lines of other distributions that may run, NAME=SHA256 as `tidegate devices "
+        "list` prints it; by default every installed one in research, none in clinical mode",
+    )
+    beam_plug_in: Env[str] = Field(
+        default="",
+        max_length=MAX_TARGET_LENGTH,
+        pattern=r"^([a-z][a-z0-9-]*(:[ -~]*)?)?$",
+        description="A beam line of another distribution, NAME or NAME:ADDRESS; the address is the plug-in's",
     )
     hardware_dead_man: Env[bool] = Field(
         default=False,
@@ -167,7 +183,6 @@ class BeamSettings(Section):
     )
     beam_notify_udp: Env[Targets] = Field(default=(), max_length=MAX_TARGETS, description="host:port, comma-separated")
     beam_notify_http: Env[Targets] = Field(default=(), max_length=MAX_TARGETS, description="Addresses, comma-separated")
-    beam_notify_timeout_s: float = Field(default=1.0, ge=0.1, le=10.0)
 
     @field_validator("beam_notify_udp", "beam_notify_http", mode="before")
     @classmethod
@@ -236,6 +251,13 @@ class BeamSettings(Section):
         return {"beam_lines": " ".join(self.beam_lines), **where, **seen_by}
 
     @property
+    def allowed_plug_ins(self) -> dict[str, str] | None:
+        """Name and SHA-256 of each plug-in that may run; None where every installed one may."""
+        if self.plug_ins is None:
+            return {} if self.mode == "clinical" else None
+        return dict(one.split("=", 1) for one in self.plug_ins)
+
+    @property
     def beam_times(self) -> LineTimes:
         """Time limits of a wired line."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
@@ -286,8 +308,7 @@ class BeamSettings(Section):
 
     def _refuse_unused(self) -> None:
         used = {name for kind in self.beam_lines for name in USED_BY[kind]}
-        used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
-        known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
+        known = {name for names in USED_BY.values() for name in names}
         if self.beam_on_line is None:
             used -= set(COMPARISON)
         for name in sorted((known & self.model_fields_set) - used):
@@ -391,8 +412,6 @@ def _check_http_target(target: str) -> None:
 
 
 def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
-    if name == "beam_notify_timeout_s":
-        return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
     if name in COMPARISON:
         return f"neither {setting_name(SIGNALS[0])} nor {setting_name(SIGNALS[1])} is"
     users = [kind for kind, names in USED_BY.items() if name in names]

@@ -24,16 +24,11 @@ EXEMPT: Mapping[str, str] = {
     "max_unwritten_ms": "the engine's own bounds are as narrow",
     **dict.fromkeys(("beam_answer_ms", "beam_settle_ms"), "at most 150 ms everywhere, within max_latency_ms"),
     "max_beam_on_s": "at most 30 s everywhere",
-    "sample_batch_ms": "the engine holds after max_unwritten_ms",
-    "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
-    "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
     **dict.fromkeys(
         ("depth_exposure_us", "laser_percent"), "changes noise and gaps, which residual, coverage and QA judge"
     ),
     "keep_warm_min": "a camera that was off for longer waits for warm_up_min again",
     "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
-    "audit_clock_jump_ms": NO_BEAM,
-    "beam_notify_timeout_s": "a status message to other systems, which is no permit",
     "beam_on_input": ADDRESS,
     "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
     "beam_rtu_baud": ADDRESS,
@@ -44,11 +39,6 @@ EXEMPT: Mapping[str, str] = {
         (
             "port",
             "max_live_clients",
-            "live_",
-            "max_body_bytes",
-            "max_plan_bytes",
-            "readiness_keep_ms",
-            "certificate_warn_days",
         ),
         "HTTP service, which holds no permit",
     ),
@@ -58,8 +48,6 @@ EXEMPT: Mapping[str, str] = {
             "retain_",
             "data_quota_gb",
             "session_room_min",
-            "idempotency_days",
-            "audit_anchor_interval_s",
         ),
         "files and records; a full disk holds by min_free_disk_mb",
     ),
@@ -219,30 +207,17 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "max_clock_jump_ms": ClinicalBound(low=50.0, high=250.0, reason="the default"),
     "min_fps": ClinicalBound(low=15.0, high=60.0, reason="a frame every 67 ms, within the 100 ms of TG-142"),
     # Whether a stored model is this patient's.
-    "likeness_seconds": ClinicalBound(low=4.0, high=20.0, reason="a whole breath, so that its phase averages out"),
     "likeness_max_shift_mm": ClinicalBound(
         low=1.0, high=10.0, reason="half of the default: a model is valid where it was learned"
     ),
     "likeness_max_tilt_deg": ClinicalBound(low=0.5, high=3.0, reason="moves a point 60 mm from the centre by 3 mm"),
     "likeness_max_shape_mm": ClinicalBound(low=0.5, high=3.0, reason="the default"),
     "likeness_max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason="as for every frame"),
-    "likeness_min_explained_share": ClinicalBound(low=0.8, high=1.0, reason="the default"),
     # What a model is learned from.
-    "training_min_frames": ClinicalBound(low=100, high=1_000, reason="the default"),
-    "training_max_frames": ClinicalBound(low=100, high=2_000, reason="no fewer than are needed at least"),
+    "training_min_frames": ClinicalBound(low=100, high=225, reason="the default"),
     "training_min_cycles": ClinicalBound(low=3, high=50, reason="the default: one breath is no pattern"),
     "training_min_seconds": ClinicalBound(low=10.0, high=300.0, reason="the default: three breaths of 3 s"),
     "training_max_seconds": ClinicalBound(low=10.0, high=120.0, reason="no shorter than is needed at least"),
-    "training_components": ClinicalBound(low=2, high=6, reason="chest and abdomen; later components are noise"),
-    "training_min_amplitude_mm": ClinicalBound(
-        low=0.6, high=10.0, reason="the default: less than that does not stand out from the sensor's noise"
-    ),
-    "training_max_shift_mm": ClinicalBound(low=0.5, high=3.0, reason="the default: a model is of one position"),
-    "training_max_tilt_deg": ClinicalBound(low=0.2, high=2.0, reason="the default: a model is of one position"),
-    "training_max_outlier_share": ClinicalBound(low=0.0, high=0.2, reason="the default"),
-    "training_max_carry_mm": ClinicalBound(
-        low=0.1, high=1.0, reason="the default: a reference carried further is another one"
-    ),
     # Whether the beam line follows.
     "beam_without_permit_ms": ClinicalBound(low=20.0, high=250.0, reason="the default, above the accelerator's delay"),
     "beam_absent_s": ClinicalBound(low=1.0, high=30.0, reason="a beam that is not delivered for longer is looked at"),

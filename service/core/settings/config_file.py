@@ -14,6 +14,37 @@ MAX_BYTES = 1_000_000
 ENVIRONMENT_ONLY = frozenset({"frame_path"})
 """Read by the engine when it is imported, before there are settings."""
 
+CONSTANTS = frozenset(
+    {
+        "audit.anchor_interval_s",
+        "audit.clock_jump_ms",
+        "beam.notify_timeout_s",
+        "match.min_explained_share",
+        "match.seconds",
+        "oidc.key_refresh_min",
+        "oidc.max_key_age_h",
+        "oidc.timeout_s",
+        "plans.max_plan_bytes",
+        "storage.sample_batch_ms",
+        "training.components",
+        "training.max_carry_mm",
+        "training.min_amplitude_mm",
+        "training.max_frames",
+        "training.max_outlier_share",
+        "training.max_shift_mm",
+        "training.max_tilt_deg",
+        "training.refit_until_s",
+        "web.certificate_warn_days",
+        "web.command_timeout_s",
+        "web.idempotency_days",
+        "web.live_resume_s",
+        "web.live_stall_s",
+        "web.max_body_bytes",
+        "web.readiness_keep_ms",
+    }
+)
+"""Settings of earlier versions that no site had to choose; each is a constant where it is used."""
+
 
 class SettingsError(Exception):
     """The settings cannot be used; the message has one line per setting."""
@@ -81,6 +112,8 @@ def _where(key: str, names: Mapping[tuple[str, str], str], section: str = "") ->
         return f"it is read from {setting_name(key)} only"
     if section == "http":
         return "limits of connections are no settings any more: remove the section"
+    if f"{section}.{key}" in CONSTANTS:
+        return "it is a constant now: remove the line"
     meant = {".".join(place) for place, name in names.items() if key in (place[1], name)}
     if not meant:
         every = [".".join(place) for place in names]

@@ -66,12 +66,6 @@ class PlanSettings(Section):
 
     SECTION = "plans"
 
-    max_plan_bytes: int = Field(
-        default=8_388_608,
-        ge=65_536,
-        le=67_108_864,
-        description="Largest RT Plan; other request bodies have a lower limit",
-    )
     plan_patient: Literal["id", "hash"] = Field(
         default="id", description="Patient reference of a plan: the Patient ID, or a keyed hash of it"
     )
@@ -223,15 +217,6 @@ class StreamSettings(Section):
     max_live_clients: Env[int] = Field(
         default=256, ge=1, le=1024, description="Maximum number of clients, WebSockets and event streams together"
     )
-    live_stall_s: float = Field(
-        default=5.0, ge=0.5, le=60.0, description="A client that reads nothing for this time is disconnected"
-    )
-    live_resume_s: float = Field(
-        default=600.0,
-        ge=0.0,
-        le=600.0,
-        description="Longest part of the record that is resent to a client that reconnects",
-    )
 
 
 class AuditSettings(Section):
@@ -245,15 +230,6 @@ class AuditSettings(Section):
         default=None,
         description="File of the audit's anchors, best on another machine's share; default: audit-anchors.jsonl in the "
         "data folder",
-    )
-    audit_anchor_interval_s: float = Field(
-        default=60.0, ge=1.0, le=3600.0, description="Longest interval between anchors while rows are added"
-    )
-    audit_clock_jump_ms: float = Field(
-        default=500.0,
-        ge=10.0,
-        le=60_000.0,
-        description="Change of the wall clock against the monotonic clock beyond which the audit records it as set",
     )
     audit_log_dir: Env[Path | None] = Field(
         default=None, description="Audit rows also as JSON lines in this folder, for the site's log collector"
@@ -282,9 +258,6 @@ class MonitoringSettings(Section):
         default="warning",
         description="Lowest level of Tidegate's log records; info has one line per request. Libraries"
         " log from warning on",
-    )
-    readiness_keep_ms: Annotated[float, In("web")] = Field(
-        default=1_000.0, ge=0.0, le=10_000.0, description="Time for which an answer of `/readyz` is cached"
     )
 
 
@@ -325,7 +298,6 @@ class StorageSettings(Section):
     journal_dir: Env[Path | None] = Field(
         default=None, description="Folder of the journals of transitions; default: in memory"
     )
-    sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
     retain_samples_days: int = Field(
         default=0, ge=0, le=36_500, description="Samples of sessions that ended longer ago are removed; 0 keeps them"
     )

@@ -76,11 +76,6 @@ class OidcSettings(Section):
         default=("at+jwt",), min_length=1, max_length=5, description="The typ of machines' access tokens"
     )
     oidc_max_clock_skew_s: int = Field(default=30, ge=0, le=300)
-    oidc_timeout_s: float = Field(default=5.0, ge=0.5, le=30.0, description="Longest wait for the provider")
-    oidc_key_refresh_min: float = Field(default=5.0, ge=1.0, le=1440.0, description="Interval of fetching the keys")
-    oidc_max_key_age_h: float = Field(
-        default=24.0, ge=1.0, le=168.0, description="Longest use of cached keys while the provider is down"
-    )
 
     @field_validator("oidc_scopes", "oidc_machine_types", mode="before")
     @classmethod

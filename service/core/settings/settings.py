@@ -62,10 +62,10 @@ def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
     return Field(default=LIMIT_DEFAULTS[name], ge=low, le=high)
 
 
-def _training(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
-    """Declare a setting of the training with the engine's default and bounds."""
+def _training(name: str, most: float | None = None) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare a setting of the training with the engine's default and bounds; ``most`` narrows them."""
     low, high = TRAINING_BOUNDS[name]
-    return Field(default=getattr(TrainingSettings(), name), ge=low, le=high)
+    return Field(default=getattr(TrainingSettings(), name), ge=low, le=high if most is None else most)
 
 
 def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
@@ -80,18 +80,10 @@ class TrainingGroup(Section):
     SECTION = "training"
     KEY_PREFIX = "training_"
 
-    training_min_frames: int = _training("min_frames")
+    training_min_frames: int = _training("min_frames", most=TrainingSettings().max_frames // 2)
     training_min_cycles: int = _training("min_cycles")
     training_min_seconds: float = _training("min_seconds")
     training_max_seconds: float = _training("max_seconds")
-    training_max_frames: int = _training("max_frames")
-    training_components: int = _training("components")
-    training_min_amplitude_mm: float = _training("min_amplitude_mm")
-    training_max_shift_mm: float = _training("max_shift_mm")
-    training_max_tilt_deg: float = _training("max_tilt_deg")
-    training_max_outlier_share: float = _training("max_outlier_share")
-    training_max_carry_mm: float = _training("max_carry_mm")
-    training_refit_until_s: float = _training("refit_until_s")
     retrain_interval_min: float = Field(
         default=0.0, ge=0.0, le=240.0, description="Interval of learning a new model during a session; 0 is never"
     )
@@ -103,12 +95,10 @@ class MatchGroup(Section):
     SECTION = "match"
     KEY_PREFIX = "likeness_"
 
-    likeness_seconds: float = _likeness("seconds")
     likeness_max_shift_mm: float = _likeness("max_shift_mm")
     likeness_max_tilt_deg: float = _likeness("max_tilt_deg")
     likeness_max_shape_mm: float = _likeness("max_shape_mm")
     likeness_max_residual_mm: float = _likeness("max_residual_mm")
-    likeness_min_explained_share: float = _likeness("min_explained_share")
 
 
 class Settings(
@@ -337,13 +327,13 @@ class Settings(
     @property
     def training(self) -> TrainingSettings:
         """Settings of the training."""
-        given = {name: getattr(self, f"training_{name}") for name in TRAINING_BOUNDS.keys() - SETTING_OF.keys()}
+        given = _chosen(self, "training_")
         return TrainingSettings(**given, retrain_interval_s=60.0 * self.retrain_interval_min)
 
     @property
     def likeness(self) -> PatientMatchLimits:
         """Limits of the patient match."""
-        return PatientMatchLimits(**{name: getattr(self, f"likeness_{name}") for name in PATIENT_MATCH_BOUNDS})
+        return PatientMatchLimits(**_chosen(self, "likeness_"))
 
     @property
     def recording_folders(self) -> tuple[Path, ...]:
@@ -356,6 +346,12 @@ class Settings(
         if self.allowed_hosts:
             return self.allowed_hosts
         return ("*",) if self.is_remote else ("localhost", "127.0.0.1", "[::1]")
+
+
+def _chosen(settings: Settings, prefix: str) -> dict[str, Any]:
+    """Return a group's settings by the engine's names."""
+    names = (name for name in Settings.model_fields if name.startswith(prefix))
+    return {name.removeprefix(prefix): getattr(settings, name) for name in names}
 
 
 def load_settings(**overrides: object) -> Settings:

@@ -157,8 +157,6 @@ class FinalReport:
 class EngineFailedError(TidegateError):
     """An unexpected error of the engine process; only its type is passed to the service."""
 
-    code = "engine_failed"
-
 
 def portable(error: BaseException) -> BaseException:
     """Return an error that the service can unpickle: a TidegateError itself, any other by its type's name."""
@@ -230,4 +228,5 @@ def _environment() -> dict[str, str]:
     inherited = {
         name: value for name, value in os.environ.items() if name == FRAME_PATH or not name.upper().startswith(PREFIX)
     }
-    return {**inherited, "PYTHONPATH": str(CODE)}
+    paths = (str(CODE), *filter(None, [inherited.get("PYTHONPATH")]))  # plug-ins may lie there
+    return {**inherited, "PYTHONPATH": os.pathsep.join(paths)}

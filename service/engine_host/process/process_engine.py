@@ -186,6 +186,8 @@ def _reap(child: ChildProcess) -> None:
 class TurnError(EngineProcessError):
     """Another camera request, or the start of a session, is in progress."""
 
+    code = EngineProcessError.code
+
 
 class ProcessEngine:
     """The service's :class:`~service.engine_host.protocols.EnginePort`: one process a session, one on standby."""

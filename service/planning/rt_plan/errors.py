@@ -31,8 +31,6 @@ class PlanFormatError(PlanError):
 class PlanTruncatedError(PlanError):
     """The file ends before the length that it declares."""
 
-    code = "plan_truncated"
-
 
 class PlanKindError(PlanError):
     """The file is DICOM, but neither an RT Plan nor an RT Ion Plan."""
@@ -49,37 +47,25 @@ class PlanBoundError(PlanError):
 class PlanConflictError(PlanError):
     """A stored plan has this SOP Instance UID and other content."""
 
-    code = "plan_conflict"
-
 
 class PlanGatingError(PlanError):
     """The session's window does not match the technique that the plan prescribes."""
-
-    code = "plan_gating"
 
 
 class PlanPositionError(PlanError):
     """The plan's Patient Position is not supported, or contradicts the session's head direction."""
 
-    code = "plan_position"
-
 
 class PlanRejectedError(PlanError):
     """The plan's approval status is REJECTED."""
-
-    code = "plan_rejected"
 
 
 class PlanContradictedError(PlanError):
     """A later file with the plan's UID has other content."""
 
-    code = "plan_contradicted"
-
 
 class FractionDoneError(PlanError):
     """A session of this fraction was started before."""
-
-    code = "fraction_done"
 
 
 class OverrideNotPersonalError(PlanError):
@@ -91,5 +77,4 @@ class OverrideNotPersonalError(PlanError):
 class PlanBusyError(PlanError):
     """The service reads its maximum number of plans at a time already."""
 
-    code = "plan_busy"
     headers: ClassVar[dict[str, str]] = {"Retry-After": "1"}

@@ -42,6 +42,8 @@ from service.storage.samples.recorder import SampleRecorder
 from service.storage.samples.store import SampleStore
 
 SOFTWARE = f"tidegate {__version__}"
+SAMPLE_BATCH_S = 0.25
+"""Longest wait of a row for its batch; the engine holds after ``max_unwritten_ms``."""
 WRITER_JOIN_S = 10.0
 WRITER_BUSY_TIMEOUT_S = 0.5
 WRITER_ANSWER_TIMEOUT_S = 1.0
@@ -226,7 +228,7 @@ class SessionStarter:
         """Create the sample file before the engine starts, so that no frame is measured meanwhile."""
         head = sample_head(plan, self.settings, anchor)
         try:
-            return SampleRecorder(self.samples, head, batch_s=self.settings.sample_batch_ms / 1000)
+            return SampleRecorder(self.samples, head, batch_s=SAMPLE_BATCH_S)
         except OSError as error:
             msg = f"no sample file can be created: {error.strerror}"
             raise StorageUnwritableError(msg) from error

@@ -8,7 +8,7 @@ or other regions would escape the budget of the fraction (:mod:`engine.control.f
 
 import json
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -26,6 +26,7 @@ from service.core.schemas.base import finite_or_none, rounded_or_none
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.plug_ins import use_plug_ins
 from service.engine_host.protocols import EnginePort, RunningSession
 from service.engine_host.site_limits.calibrations import check_allowed, described, kind_of, warning_of
 from service.engine_host.site_limits.recording_folders import (
@@ -181,7 +182,9 @@ class SessionRepository:
         """List sessions, newest first."""
         with self._database.read() as db:
             rows, next_cursor = queries.session_page(db, cursor, limit, wanted)
-            return sessions.SessionPage(items=[session_answer(row) for row in rows], next_cursor=next_cursor)
+            signed_by = queries.signers(db, [row.id for row in rows])
+            items = [session_answer(row, signed_by.get(row.id, [])) for row in rows]
+        return sessions.SessionPage(items=items, next_cursor=next_cursor)
 
     def detail(self, session_id: str, by: Database | None = None) -> sessions.SessionDetail:
         """Read one, with its present state; ``by`` is another database, where these connections may all be in use."""
@@ -292,19 +295,24 @@ class SessionRepository:
         origin: Mapping[str, object],
     ) -> Event:
         detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
-        detail |= origin
+        # What the report names: the settings may be others by then.
+        detail |= {**origin, "room": self._settings.room, "machine": self._settings.machine_name}
+        plug_ins = [one.label for one in use_plug_ins(self._settings)]
+        if plug_ins:  # a report without one stays what was signed
+            detail["plug_ins"] = plug_ins
         if self._engine.is_simulated_beam:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
         detail |= described_source(request.source, self._settings)
         return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
 
 
-def session_answer(row: SessionRow) -> sessions.Session:
+def session_answer(row: SessionRow, signed_by: Sequence[str] = ()) -> sessions.Session:
     """Return a session's record as the API answers it."""
-    made = {"source", "source_warning", "window", "regions", "calibration", "calibration_warning"}
+    made = {"signed_by", "source", "source_warning", "window", "regions", "calibration", "calibration_warning"}
     source = SOURCE.validate_json(row.source)
     return sessions.Session(
         **{name: getattr(row, name) for name in sessions.Session.model_fields.keys() - made},
+        signed_by=list(signed_by),
         calibration=kind_of(row.calibration.camera),
         calibration_warning=warning_of(row.calibration.camera),
         source=source,

@@ -39,8 +39,6 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 class JournalInUseError(TidegateError):
     """An engine of an earlier process may still drive the line, and cannot be killed."""
 
-    code = "journal_in_use"
-
 
 def recover_transitions(database: Database, journals: Journals) -> None:
     """Add missing transitions to the audit, from every journal found; called at the start, before sessions are closed.

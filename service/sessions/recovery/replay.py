@@ -66,8 +66,6 @@ AUDITED = {
 class NotReplayableError(TidegateError):
     """A session that cannot be replayed, or not on this machine; the message has the reason."""
 
-    code = "not_replayable"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:

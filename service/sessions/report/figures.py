@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from engine.core.clock import NS_PER_S
-from service.core.schemas.reports import GatedMotion, HeldTime, Range, ReportFigures
+from service.core.schemas.reports import GatedMotion, HeldTime, Pulse, Range, ReportFigures
 from service.storage.samples.figures import LONGEST_STEP_NS, Figures, hold_list
 
 BASELINE_S = 30.0
@@ -122,8 +122,9 @@ def report_figures(columns: SampleColumns, counted: Figures, named: Sequence[str
         armed_s=round(armed_s, 2),
         beam_on_s=round(on_s, 2),
         duty_percent=round(100.0 * on_s / armed_s, 1) if armed_s > 0.0 else None,
-        pulses=len(pulses_s(is_on, steps_s)),
-        pulse_s=_range(np.array(pulses_s(is_on, steps_s)), 2),
+        pulses=len(pulses := _pulses(columns)),
+        pulse_s=_range(np.array([steps_s[start:end].sum() for start, end in beam_stretches(columns)]), 2),
+        pulse_list=pulses,
         holds=_held(columns, steps_s),
         cells=_cells(columns.cells_on_mm),
         motion=[one for one in itertools.starmap(_motion, motion.items()) if one is not None],
@@ -143,10 +144,25 @@ def _latency_bins(counted: Figures) -> list[int]:
     return [int(one) for one in shares]
 
 
-def pulses_s(is_on: npt.NDArray[np.bool_], steps_s: npt.NDArray[np.float64]) -> list[float]:
-    """Return the length of each stretch with the beam on [s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_on, [False])).astype(np.int8)))
-    return [float(steps_s[start:end].sum()) for start, end in edges.reshape(-1, 2)]
+def beam_stretches(columns: SampleColumns) -> npt.NDArray[np.intp]:
+    """Return the first sample of each stretch with the beam on, and the first after it, shape (pulses, 2)."""
+    is_on = columns.texts["gate"] == "beam_on"
+    return np.flatnonzero(np.diff(np.concatenate(([False], is_on, [False])).astype(np.int8))).reshape(-1, 2)
+
+
+def _pulses(columns: SampleColumns) -> list[Pulse]:
+    steps_s, seconds, signal = columns.steps_s, columns.seconds, columns.numbers["signal_mm"]
+    return [
+        Pulse(
+            from_s=round(float(seconds[start]), 2),
+            to_s=round(float(seconds[min(end, len(seconds) - 1)]), 2),
+            seconds=round(float(steps_s[start:end].sum()), 2),
+            spread=round(float(np.ptp(known)), 2)
+            if len(known := signal[start:end][np.isfinite(signal[start:end])])
+            else None,
+        )
+        for start, end in beam_stretches(columns)
+    ]
 
 
 def _motion(signal: str, values: npt.NDArray[np.float64]) -> GatedMotion | None:

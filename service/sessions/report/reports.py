@@ -5,18 +5,21 @@ import json
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
+from engine.calibration import Calibration, parse_calibration
 from engine.core.files import PIECE_BYTES
 from service.core.errors import SessionStateError
 from service.core.schemas.reports import (
+    NoteRequest,
     ReportEvent,
     ReportFigures,
+    ReportHead,
     ReportSignature,
     ReportWindow,
     SessionReport,
@@ -25,6 +28,7 @@ from service.core.schemas.reports import (
 )
 from service.core.schemas.sessions import Session
 from service.core.schemas.windows import Window
+from service.core.settings.settings import Settings
 from service.sessions.records.sessions import session_answer
 from service.sessions.report.figures import SampleColumns, read_columns, report_figures
 from service.sessions.report.window_words import window_text
@@ -32,7 +36,16 @@ from service.storage.audit.chain import Event, canonical_json, seal
 from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
-from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, SessionRow
+from service.storage.database.queries import SIGNATURE
+from service.storage.database.tables import (
+    AuditRow,
+    CalibrationRow,
+    ModelRow,
+    PlanRow,
+    QaOutcomeRow,
+    QaRunRow,
+    SessionRow,
+)
 from service.storage.samples.service import SampleService
 from service.storage.samples.store import SampleStore
 
@@ -52,6 +65,7 @@ ACTIONS = {
     "session.position_check": "position signed",
     "session.countersign": "countersigned",
     "session.signature": "report signed",
+    "session.note": "note added to the report",
     "model.reference_set": "reference taken up",
     "model.zero_needed": "reference needed again",
     "model.retrain": "trained again",
@@ -71,8 +85,11 @@ COUNTED = {
 }
 """Acts that are counted, and how many of them a usual session has."""
 LOST_PERCENT = 1.0
+QA_LASTS = timedelta(hours=24)
+UNMANNED = {"operator_lost", "service_silent"}
+"""Hold reasons of an armed gate without a responsible person or service; each is a deviation."""
 OPEN = ("created", "running")
-SIGNATURE, NOTED = "session.signature", "note added to the report"
+NOTE = "session.note"
 REASONED = frozenset(
     {"session.arm", "session.reference", "session.window", "session.baseline_correction", "session.position_check"}
 )
@@ -96,32 +113,41 @@ class ReportService:
     ----------
     needs_two
         Whether the site asks for a second person: then two sign, and not both of them have armed.
+    room, machine
+        As the settings name them.
     """
 
-    def __init__(self, database: Database, store: SampleStore, *, needs_two: bool = False) -> None:
+    def __init__(
+        self, database: Database, store: SampleStore, *, needs_two: bool = False, room: str = "", machine: str = ""
+    ) -> None:
         self._database, self._store, self._needs_two = database, store, needs_two
+        self._room, self._machine = room, machine
         self._log = AuditLog(database)
         self._signing = threading.Lock()
 
-    def sign(self, session_id: str, request: SignatureRequest, actor: str) -> SessionReport:
-        """Add a note or a signature to the audit; return the report with it.
+    def add_note(self, session_id: str, request: NoteRequest, actor: str) -> SessionReport:
+        """Add a note to the audit; return the report with it. Raise SessionStateError where it is another report."""
+        return self._written(session_id, NOTE, request.model_dump(exclude={"operator"}), actor)
 
-        Raises
-        ------
-        SessionStateError
-            The report is another one than the person looked at, or the person has signed it already.
+    def sign(self, session_id: str, request: SignatureRequest, actor: str, *, confirmed_by: str) -> SessionReport:
+        """Add a signature to the audit, confirmed by ``password`` or ``login``; return the report with it.
+
+        SessionStateError: it is another report than the person looked at, or the person has signed it already.
         """
-        detail = request.model_dump(exclude={"operator"})
+        detail = request.model_dump(exclude={"operator", "password"}) | {"confirmed_by": confirmed_by}
+        return self._written(session_id, SIGNATURE, detail, actor)
+
+    def _written(self, session_id: str, action: str, detail: dict[str, Any], actor: str) -> SessionReport:
         # One at a time: of two calls of one person at once, the second sees the first one's signature.
-        with self._signing, self._log.refusals(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail):
+        with self._signing, self._log.refusals(actor=actor, action=action, session_id=session_id, detail=detail):
             present = self.of(session_id).report
-            if request.content_sha256 != present.content_sha256:
+            if detail["content_sha256"] != present.content_sha256:
                 bound = "that of the report as it is now: read it again"
                 msg = f"content_sha256 must be {bound}"
-                raise SessionStateError(msg, field="content_sha256", value=request.content_sha256, bound=bound)
-            if request.is_signed:
+                raise SessionStateError(msg, field="content_sha256", value=detail["content_sha256"], bound=bound)
+            if action == SIGNATURE:
                 _refuse_signer(present, actor)
-            self._log.write(Event(actor=actor, action=SIGNATURE, session_id=session_id, detail=detail))
+            self._log.write(Event(actor=actor, action=action, session_id=session_id, detail=detail))
         return self.of(session_id).report
 
     def of(self, session_id: str) -> StoredReport:
@@ -142,8 +168,11 @@ class ReportService:
             SampleService(self._database, self._store).refuse_removed(session_id, row.summary)
             session = session_answer(row)
             rows = list(_rows(db, session_id))
+            created = _created(rows)
             session, differs = _as_audited(session, rows)
-            calibration = db.scalar(select(CalibrationRow.sha256).where(CalibrationRow.id == row.calibration_id)) or ""
+            calibration = db.get(CalibrationRow, row.calibration_id)
+            plan = None if row.rt_plan_id is None else db.get(PlanRow, row.rt_plan_id)
+            qa = _qa_before(db, row.started_at)
             newest = db.scalar(
                 select(ModelRow).where(ModelRow.session_id == session_id).order_by(ModelRow.number.desc())
             )
@@ -151,8 +180,22 @@ class ReportService:
         columns, counted = read_columns(self._store.batches(session_id))
         head = self._store.head(session_id)
         figures = report_figures(columns, counted, () if head is None else head.regions)
+        named = None if calibration is None else parse_calibration(calibration.document.encode())
         report = SessionReport(
             session_id=session_id,
+            head=ReportHead(
+                room=str(created.get("room", self._room)),
+                machine=str(created.get("machine", self._machine)),
+                armed_by=list(dict.fromkeys(one.actor for one in rows if _is_done(one, "session.arm"))),
+                plan_label="" if plan is None else plan.label,
+                plan_uid="" if plan is None else plan.sop_instance_uid,
+                camera=_camera(named, created.get("plug_ins")),
+                calibrated_at=None if calibration is None else calibration.created_at,
+                qa=qa,
+                first_sample_at=None
+                if head is None or not len(columns.decided_ns)
+                else head.at(int(columns.decided_ns[0])),
+            ),
             session=session,
             differs=differs,
             windows=list(_windows(session, rows)),
@@ -166,10 +209,26 @@ class ReportService:
             software="" if head is None else head.software,
             content_sha256="",
             samples_sha256=_sha256(self._store.parquet_path(session_id)),
-            calibration_sha256=calibration,
+            calibration_sha256="" if calibration is None else calibration.sha256,
             settings_sha256="" if head is None else head.settings_sha256,
         )
-        return StoredReport(_signed(report, rows), columns)
+        return StoredReport(_signed(report, rows, covers_head="machine" in created), columns)
+
+
+def report_service(database: Database, store: SampleStore, settings: Settings) -> ReportService:
+    """Make the service as the settings have it."""
+    two, machine = settings.needs_countersignature, settings.machine_name
+    return ReportService(database, store, needs_two=two, room=settings.room, machine=machine)
+
+
+def _qa_before(db: DatabaseSession, started_at: datetime | None) -> str:
+    """Return the verdict of the newest daily QA run in the 24 hours before a session's start; empty without one."""
+    if started_at is None:
+        return ""
+    query = select(QaRunRow, QaOutcomeRow).join(QaOutcomeRow).order_by(QaOutcomeRow.ended_at.desc())
+    of_day = QaOutcomeRow.ended_at.between(started_at - QA_LASTS, started_at)
+    found = db.execute(query.where(QaRunRow.kind == "daily", QaOutcomeRow.verdict.is_not(None), of_day)).first()
+    return "" if found is None else f"{found[1].verdict}, {found[1].ended_at:%Y-%m-%d %H:%M} UTC, {found[0].operator}"
 
 
 def refuse_open(row: SessionRow) -> None:
@@ -209,17 +268,30 @@ def _rows(db: DatabaseSession, session_id: str) -> Iterator[_Row]:
         )
 
 
+def _camera(named: Calibration | None, plug_ins: object) -> str:
+    """Return the calibrated camera, and what was no part of Tidegate at the session's creation."""
+    words = [] if named is None else [named.camera, named.serial]
+    if isinstance(plug_ins, list):
+        words.append(f"(plug-ins: {', '.join(map(str, plug_ins))})")
+    return " ".join(filter(None, words))
+
+
+def _created(rows: Sequence[_Row]) -> dict[str, Any]:
+    """Return how the session was created; empty where the audit does not have it."""
+    return next((row.detail for row in rows if _is_done(row, "session.create")), {})
+
+
 def _as_audited(session: Session, rows: Sequence[_Row]) -> tuple[Session, list[str]]:
     """Return the session as the audit has it, and what the database states otherwise: its row can be changed."""
     differs = [] if all(row.is_sealed for row in rows) else ["a row of the audit was changed: tidegate audit verify"]
-    created = next((row for row in rows if row.action == "session.create" and row.outcome == "done"), None)
-    if created is None:
+    created = _created(rows)
+    if not created:
         return session, [*differs, "the audit does not have how the session was created"]
-    stated = {name: created.detail[name] for name in HEAD if name in created.detail}
+    stated = {name: created[name] for name in HEAD if name in created}
     for name, value in stated.items():
         if getattr(session, name) != value:
             differs.append(f"the database states {name} {getattr(session, name)!r}, and the audit {value!r}")
-    window = Window.model_validate(created.detail["window"]) if "window" in created.detail else session.window
+    window = Window.model_validate(created["window"]) if "window" in created else session.window
     set_later = [row.detail["window"] for row in rows if _is_done(row, "session.window") and "window" in row.detail]
     newest = Window.model_validate(set_later[-1]) if set_later else window
     if session.window != newest:
@@ -233,24 +305,45 @@ def _is_done(row: _Row, action: str) -> bool:
 
 def _windows(session: Session, rows: Sequence[_Row]) -> Iterator[ReportWindow]:
     """Yield the prescribed window, then each one that was set or moved, with who and when."""
+    edges: tuple[float, float] | None = None
     for row in rows:
         at, reason = datetime.fromisoformat(row.at), str(row.detail.get("reason") or "")
         if _is_done(row, "session.create"):
-            text = f"as prescribed: {window_text(session.window)}"
+            text, edges = f"as prescribed: {window_text(session.window)}", _edges(session.window)
         elif _is_done(row, "session.window"):
-            text = f"set to {window_text(Window.model_validate(row.detail['window']))}"
+            window = Window.model_validate(row.detail["window"])
+            text, edges = f"set to {window_text(window)}", _edges(window)
         elif _is_done(row, "session.baseline_correction"):
-            text = f"moved by {row.detail.get('by', 0.0):+g}, with the drift"
+            by = row.detail.get("by", 0.0)
+            text, edges = f"moved by {by:+g}, with the drift", edges and (edges[0] + by, edges[1] + by)
         else:
             continue
-        yield ReportWindow(at=at, actor=row.actor, text=text, reason=reason)
+        lower, upper = edges or (None, None)
+        yield ReportWindow(at=at, actor=row.actor, text=text, reason=reason, lower=lower, upper=upper)
 
 
-def _signed(report: SessionReport, rows: Sequence[_Row]) -> SessionReport:
-    """Return the report with the hash of its content, and the signatures compared with it."""
-    signing = {"signatures", "signatures_needed", "content_sha256", "events"}
+def _edges(window: Window) -> tuple[float, float] | None:
+    """Return the edges of the first condition in mm or l; None of a phase, and in per cent of a breath."""
+    pairs = ((window.lower_mm, window.upper_mm), (window.lower_l, window.upper_l))
+    return next(((lower, upper) for lower, upper in pairs if lower is not None and upper is not None), None)
+
+
+def _signed(report: SessionReport, rows: Sequence[_Row], *, covers_head: bool) -> SessionReport:
+    """Return the report with the hash of its content, and the signatures compared with it.
+
+    What reports did not have once is left out where they are of that time, so that they stay signed.
+    """
+    signing = {"signatures", "signatures_needed", "content_sha256", "events", "head"}
     content = report.model_dump(mode="json", exclude=signing)
-    content["events"] = [one.model_dump(mode="json") for one in report.events if one.action != SIGNATURE]
+    for one in content["windows"]:
+        del one["lower"], one["upper"]
+    del (
+        content["figures"]["pulse_list"],
+        content["session"]["signed_by"],
+    )  # the samples' hash, and the signatures, have it
+    if covers_head:
+        content["head"] = {name: getattr(report.head, name) for name in ("room", "machine", "armed_by")}
+    content["events"] = [one.model_dump(mode="json") for one in report.events if one.action not in {SIGNATURE, NOTE}]
     content_sha256 = hashlib.sha256(canonical_json(content).encode()).hexdigest()
     signatures = list(_signatures(rows, content_sha256))
     differs = [
@@ -284,11 +377,12 @@ def _events(rows: Sequence[_Row]) -> Iterator[ReportEvent]:
         if row.is_fault:
             text = f"fault: {str(row.detail.get('reason', '')).replace('_', ' ')}"
         elif row.action in ACTIONS and row.outcome != "requested":
-            act = NOTED if row.action == SIGNATURE and not row.detail.get("is_signed") else ACTIONS[row.action]
+            act = ACTIONS[NOTE if row.action == SIGNATURE and not _signs(row) else row.action]
             text = act if row.outcome == "done" else f"{act}: {row.outcome}"
         else:
             continue
-        reasons = [*_stated(row), row.detail.get("reason") if not row.is_fault else None, *_overridden(row)]
+        reason = None if row.is_fault else row.detail.get("reason")
+        reasons = [row.detail.get("meaning"), *_stated(row), reason, *_overridden(row)]
         said = "; ".join(str(one) for one in reasons if one)
         said_too = f"{text} ({said})" if said else text
         yield ReportEvent(at=datetime.fromisoformat(row.at), actor=row.actor, action=row.action, text=said_too)
@@ -328,10 +422,21 @@ def _deviations(session: Session, figures: ReportFigures, rows: Sequence[_Row]) 
         count = sum(row.action == action for row in done)
         if count > usual:
             yield f"{what} {count} times" if count > 1 else f"{what} once"
+    yield from _unarmed(figures, rows)
     faults = sum(row.is_fault for row in rows)
     if faults:
         yield f"{faults} fault{'' if faults == 1 else 's'}"
     yield from _missing(figures)
+
+
+def _unarmed(figures: ReportFigures, rows: Sequence[_Row]) -> Iterator[str]:
+    """Yield the refused armings, and the holds without a responsible person or service."""
+    refused = sum(row.action == "session.arm" and row.outcome == "refused" for row in rows)
+    if refused:
+        yield f"arming was refused {refused} time{'' if refused == 1 else 's'}"
+    for one in figures.holds:
+        if one.reason in UNMANNED:
+            yield f"{one.text.lower()}: {one.count} hold{'' if one.count == 1 else 's'}, {one.seconds:.1f} s"
 
 
 def _position(rows: Sequence[_Row]) -> list[SignedDegree]:
@@ -344,15 +449,21 @@ def _position(rows: Sequence[_Row]) -> list[SignedDegree]:
 
 def _signatures(rows: Sequence[_Row], content_sha256: str) -> Iterator[ReportSignature]:
     for row in rows:
-        if _is_done(row, SIGNATURE):
+        if _is_done(row, SIGNATURE) or _is_done(row, NOTE):
             yield ReportSignature(
                 at=datetime.fromisoformat(row.at),
                 name=row.actor,
-                is_signed=row.detail["is_signed"],
+                is_signed=_signs(row),
+                meaning=row.detail.get("meaning"),
                 note=row.detail["note"],
                 content_sha256=row.detail["content_sha256"],
                 is_of_this=row.detail["content_sha256"] == content_sha256,
             )
+
+
+def _signs(row: _Row) -> bool:
+    """Whether a row signs: before notes had an action of their own, `is_signed` told them apart."""
+    return row.action == SIGNATURE and bool(row.detail.get("is_signed", True))
 
 
 def _is_beyond(rows: Sequence[_Row]) -> bool:

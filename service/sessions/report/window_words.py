@@ -15,5 +15,7 @@ def _condition(one: dict[str, object]) -> str:
     edges = [(name, one[name]) for name in one if name.startswith(("lower_", "upper_", "from_", "to_"))]
     unit = next((name.partition("_")[2] for name, _ in edges), "")
     low_high = " to ".join(f"{value:g}" for _, value in edges if isinstance(value, int | float))
+    if not edges and one["kind"] == "breath_hold":
+        low_high = "level as a held breath sets it"
     unit = {"percent": "% of the breath"}.get(unit, unit)
     return f"{str(one['kind']).replace('_', ' ')} of {one.get('name') or one['signal']}, {low_high} {unit}".rstrip()

@@ -4,7 +4,7 @@ The window as the gate judges by it, in the words of the live stream: edges in m
 """
 
 from engine.control import LiveView
-from engine.core.breath import Breath, SignalChoice
+from engine.core.breath import Breath, BreathEventKind, SignalChoice
 from engine.core.frames import Measurement
 from engine.core.signals import seen_share_of
 from engine.gating import (
@@ -26,6 +26,8 @@ from service.core.schemas.live_messages import LiveBreath, LiveBreathEvent, Live
 
 US_PER_S = 1e6
 DIGITS = 4
+OF_A_HOLD = {BreathEventKind.SIGH, BreathEventKind.APNOEA, BreathEventKind.IRREGULAR, BreathEventKind.NO_CYCLE}
+"""What a breath that is held on purpose looks like: no events while a breath hold is prescribed."""
 
 
 def gated_breath(breaths: tuple[Breath, ...], choice: SignalChoice) -> Breath | None:
@@ -51,7 +53,7 @@ def live_breath(view: LiveView) -> LiveBreath | None:
         drift=rounded_or_none(breath.drift),
         drift_per_s=rounded_or_none(breath.drift_per_s),
         regularity=rounded_or_none(breath.regularity),
-        events=_events(breath, view.record.measurement.timestamp_us),
+        events=_events(breath, view.window, view.record.measurement.timestamp_us),
     )
 
 
@@ -77,7 +79,8 @@ def _since_s(state: ConditionState, now_us: int) -> float | None:
     return None if state.stage is HoldStage.AWAITED else round(max(now_us - state.since_us, 0) / US_PER_S, 2)
 
 
-def _events(breath: Breath, now_us: int) -> list[LiveBreathEvent]:
+def _events(breath: Breath, window: GateWindow, now_us: int) -> list[LiveBreathEvent]:
+    left_out = OF_A_HOLD if any(isinstance(leaf, BreathHoldWindow) for leaf in window.leaves) else set()
     return [
         LiveBreathEvent(
             kind=event.kind.value,
@@ -86,6 +89,7 @@ def _events(breath: Breath, now_us: int) -> list[LiveBreathEvent]:
             detail=event.detail,
         )
         for event in breath.events
+        if event.kind not in left_out
     ]
 
 
@@ -145,7 +149,7 @@ def _condition(leaf: Condition, state: ConditionState, *, is_inside: bool) -> Li
             return LiveCondition(
                 kind="breath_hold",
                 **_place(leaf.level.choice),
-                **_edges(leaf.level),
+                **(_edges(leaf.level) if leaf.is_level_set else {"unit": leaf.level.choice.unit}),
                 hold=leaf.kind,
                 settle_ms=leaf.settle_ms,
                 still=leaf.still,

@@ -38,6 +38,10 @@ ANSWER_S = 5.0
 """Longest wait for the anchor file at start and stop [s]; it may be on a share that hangs."""
 BROKEN = "audit.broken"
 MB = 1_000_000
+ANCHOR_INTERVAL_S = 60.0
+"""Longest interval between anchors while rows are added."""
+CLOCK_JUMP_MS = 500.0
+"""Change of the wall clock against the monotonic one beyond which the audit records it as set."""
 
 
 # Appends the newest head of the chain to the anchor file: at start and stop, with sessions, and periodically.
@@ -205,7 +209,7 @@ class AuditSupervision:
         """Verify the newest rows, audit the start with changed settings, and start the background threads."""
         with self._database.read() as db:
             before = start.last_start(db)
-            went_back = start.clock_went_back(db, self._now(), self._settings.audit_clock_jump_ms / 1000)
+            went_back = start.clock_went_back(db, self._now(), CLOCK_JUMP_MS / 1000)
             seen = head_sequence(db)
         settings = start.redacted_settings(self._settings)
         anchors = self._with_timeout(self._check)
@@ -267,13 +271,11 @@ class AuditSupervision:
             database=self._database,
             file=self._file,
             clock=self._clock,
-            interval_s=self._settings.audit_anchor_interval_s,
+            interval_s=ANCHOR_INTERVAL_S,
             write=self._write,
             after=seen,
         )
-        watch = ClockWatch(
-            clock=self._clock, now=self._now, jump_ms=self._settings.audit_clock_jump_ms, write=self._write
-        )
+        watch = ClockWatch(clock=self._clock, now=self._now, jump_ms=CLOCK_JUMP_MS, write=self._write)
         self._workers = [
             _worker("tidegate-anchors", self._anchor_writer.update, self._anchor_writer.end),
             _worker("tidegate-clock", watch.check),

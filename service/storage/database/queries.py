@@ -30,6 +30,7 @@ from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, 
 OPEN_STATUSES = ("created", "running")
 BEAM_OFF = "beam.off"
 TRANSITION = "gate.transition"
+SIGNATURE = "session.signature"
 HELD = ("hold", "fault")
 FRACTION = ("patient_reference", "plan_id", "fraction_id")
 RowT = TypeVar("RowT")
@@ -155,6 +156,18 @@ def session_page(
     conditions += [] if filters.since is None else [SessionRow.created_at >= filters.since]
     conditions += [] if filters.until is None else [SessionRow.created_at < filters.until]
     return newest_first(db, SessionRow, cursor, limit, conditions)
+
+
+def signers(db: Session, session_ids: Sequence[str]) -> dict[str, list[str]]:
+    """Return who has signed the report of each of these sessions."""
+    wanted = (AuditRow.session_id.in_(session_ids), AuditRow.action == SIGNATURE, AuditRow.outcome == "done")
+    found: dict[str, list[str]] = {}
+    for row in db.scalars(select(AuditRow).where(*wanted).order_by(AuditRow.sequence)):
+        names = found.setdefault(str(row.session_id), [])
+        # A note was such a row too, once.
+        if row.actor not in names and json.loads(row.detail).get("is_signed", True):
+            names.append(row.actor)
+    return found
 
 
 def calibration_page(

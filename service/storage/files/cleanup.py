@@ -39,6 +39,8 @@ logger = logging.getLogger(__name__)
 EVERY_S = 3600.0
 AGAIN_S = 60.0
 JOIN_S = 1.0
+IDEMPOTENCY_DAYS = 7.0
+"""Lifetime of an Idempotency-Key; after it the key is treated as new."""
 """The stop does not wait longer for a large file being hashed; a later turn removes it [s]."""
 MIB = 1024 * 1024
 GIB = 1024 * MIB
@@ -165,7 +167,7 @@ class CleanupWorker:
                 logger.warning("%s", doubt)
                 return []
             now = self._time.now()
-            forget_answers(self._database, days=self._settings.idempotency_days, now=now)
+            forget_answers(self._database, days=IDEMPOTENCY_DAYS, now=now)
             return remove_old(self._database, self._settings.data_dir, self._settings, now)
 
     def close(self) -> None:

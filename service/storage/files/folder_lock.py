@@ -19,8 +19,6 @@ OWNER_ONLY = 0o700
 class FolderInUseError(TidegateError):
     """Another Tidegate program uses this data folder, or the lock cannot be checked."""
 
-    code = "folder_in_use"
-
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:

@@ -9,6 +9,7 @@ Convert the engine's frame records to a batch of samples.
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,13 @@ class SampleHead:
     regions: tuple[str, ...] = ()
     utc: str = ""
     monotonic_ns: int = 0
+
+    def at(self, monotonic_ns: int | None) -> datetime | None:
+        """Convert a monotonic time of the rows to UTC; None where either is not known."""
+        if monotonic_ns is None or not self.utc:
+            return None
+        moment = datetime.fromisoformat(self.utc)
+        return (moment + timedelta(microseconds=(monotonic_ns - self.monotonic_ns) / 1e3)).astimezone(UTC)
 
     @property
     def schema(self) -> pa.Schema:

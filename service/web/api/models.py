@@ -29,7 +29,7 @@ def retrain_model(
 ) -> sessions.SessionDetail:
     """Train a new model in the background; applied between two frames, or on request while armed."""
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.retrain(session_id, operator, keeps_reference=request.keeps_reference)
+        return call.commands.retrain(session_id, operator, keeps_reference=request.keeps_reference)
 
 
 @router.post("/sessions/{session_id}/models/apply", name="model.apply")
@@ -38,7 +38,7 @@ def apply_model(
 ) -> sessions.SessionDetail:
     """Apply the new model that is waiting; disarms. Refused if none is waiting."""
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.apply_model(session_id, operator)
+        return call.commands.apply_model(session_id, operator)
 
 
 @router.get("/models/{model_id}")
@@ -81,6 +81,6 @@ def activate_model(
     """Activate a model of the running session, after the reference is transferred to it; disarms."""
     operator = caller.checked_actor(request.operator)
     if not if_match.is_given:
-        return services.runner.activate(model_id, operator)
+        return services.runner.commands.activate(model_id, operator)
     with services.revisions.only_if(services.models.get(model_id).session_id, if_match):
-        return services.runner.activate(model_id, operator)
+        return services.runner.commands.activate(model_id, operator)

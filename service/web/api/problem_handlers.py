@@ -17,7 +17,7 @@ from service.web.dependencies import services
 from service.web.problems.table import problem_of, problem_response
 
 logger = logging.getLogger(__name__)
-SECRET_ACTIONS = frozenset({"user.login", "user.password", "screen.pair", "session.countersign"})
+SECRET_ACTIONS = frozenset({"user.login", "user.password", "screen.pair", "session.countersign", "session.signature"})
 """Problems of these routes never repeat the values that were sent: they may contain passwords or codes."""
 SESSION_ID: TypeAdapter[str] = TypeAdapter(Identifier)
 

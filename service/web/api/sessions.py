@@ -12,7 +12,7 @@ from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.base import Name
 from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
-from service.core.schemas.reports import SessionMoment, SessionReport, SessionTrace, SignatureRequest
+from service.core.schemas.reports import NoteRequest, SessionMoment, SessionReport, SessionTrace, SignatureRequest
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
@@ -130,7 +130,7 @@ def set_reference(
     Far from the fraction's first reference it needs a reason, and the permission `gate.arm`.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.set_reference(session_id, operator, request=request, may_exceed=call.may_exceed)
+        return call.commands.set_reference(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/position-check", name="session.position_check")
@@ -142,7 +142,7 @@ def sign_position(
     Beyond the tolerance, and where the surface does not determine it, it needs a reason and the permission `gate.arm`.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.sign_position(session_id, operator, request=request, may_exceed=call.may_exceed)
+        return call.commands.sign_position(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/countersign", name="session.countersign")
@@ -162,7 +162,7 @@ def countersign(
         attempt = Attempt(name=request.name, password=request.password.get_secret_value(), address=address)
         signer = desk.second_person(attempt, Permission.GATE_REFERENCE)
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.countersign(session_id, operator, state=request.state, signer=signer)
+        return call.commands.countersign(session_id, operator, state=request.state, signer=signer)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge")
@@ -174,7 +174,7 @@ def acknowledge_fault(
     An acknowledged alarm that does not latch stays active until its cause is gone.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.acknowledge(session_id, operator, alarms=request.alarms)
+        return call.commands.acknowledge(session_id, operator, alarms=request.alarms)
 
 
 @router.post("/{session_id}/hold", name="session.hold")
@@ -195,7 +195,7 @@ def release_beam(
     A person without a hold releases those of all others. Refused to a program without a hold, and where nobody holds.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.release(session_id, operator, is_person=call.caller.identity.is_person)
+        return call.commands.release(session_id, operator, is_person=call.caller.identity.is_person)
 
 
 @router.post(
@@ -213,7 +213,7 @@ def note_presence(
     While the gate is armed, `TIDEGATE_OPERATOR_TIMEOUT_S` without a report of the person who armed (of any person,
     where a program armed) holds the beam. A program can arm only while a person reports.
     """
-    services.runner.note_presence(session_id, caller.checked_actor(request.operator))
+    services.runner.commands.note_presence(session_id, caller.checked_actor(request.operator))
 
 
 @router.post("/{session_id}/baseline-correction", name="session.baseline_correction")
@@ -225,7 +225,7 @@ def correct_baseline(
     Far from the fraction's first reference it needs a person, and a reason.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.correct_baseline(session_id, operator, request=request, may_exceed=call.may_exceed)
+        return call.commands.correct_baseline(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post(
@@ -241,7 +241,7 @@ def set_window(
     fraction's first armed window it needs a person who may arm, and a reason.
     """
     with call.acting(session_id, request.operator) as operator:
-        return call.services.runner.set_window(session_id, operator, request=request, may_exceed=call.may_exceed)
+        return call.commands.set_window(session_id, operator, request=request, may_exceed=call.may_exceed)
 
 
 @router.post("/{session_id}/stop", name="session.stop")
@@ -299,18 +299,34 @@ def read_report(session_id: dependencies.SessionId, services: dependencies.AppSe
     return services.reports.of(session_id).report
 
 
+@router.post("/{session_id}/note", name="session.note")
+def add_note(
+    session_id: dependencies.SessionId,
+    request: NoteRequest,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+) -> SessionReport:
+    """Add a note to the report of a session that is over; it signs nothing. For people only."""
+    return services.reports.add_note(session_id, request, caller.checked_actor(request.operator))
+
+
 @router.post("/{session_id}/signature", name="session.signature")
 def sign_report(
     session_id: dependencies.SessionId,
     request: SignatureRequest,
     services: dependencies.AppServices,
     caller: dependencies.Caller,
+    desk: dependencies.Access,
+    address: dependencies.Address,
 ) -> SessionReport:
-    """Add a note or a signature to the report of a session that is over; for people only.
+    """Sign the report of a session that is over, with one's own password and what the signature means; for people only.
 
     A signature is of the report as it was read: with other samples it is refused, and each person signs once.
     """
-    return services.reports.sign(session_id, request, caller.checked_actor(request.operator))
+    actor = caller.checked_actor(request.operator)
+    password = None if request.password is None else request.password.get_secret_value()
+    confirmed_by = desk.confirm_signer(caller.identity, password, address)
+    return services.reports.sign(session_id, request, actor, confirmed_by=confirmed_by)
 
 
 @router.get(

@@ -23,6 +23,9 @@ from service.core.errors import BoundError, NotAcceptableError
 from service.web.problems.table import problem_of, problem_response
 
 MAX_BODY_S = 30.0
+MAX_BODY_BYTES = 65_536
+MAX_PLAN_BYTES = 8_388_608
+"""Largest RT Plan, the largest body of any call; every other one is bounded by `MAX_BODY_BYTES`."""
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"

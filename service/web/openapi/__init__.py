@@ -50,6 +50,7 @@ def _complete(document: dict[str, Any]) -> None:
     components["responses"] = RESPONSES
     components["parameters"] = {}
     document["tags"] = TAGS
+    document["servers"] = [{"url": "/", "description": "The service that answers this document"}]
     for path, item in document["paths"].items():
         for method, operation in item.items():
             complete_operation(operation, method.upper(), path)

@@ -1,5 +1,6 @@
 """Maps every error to HTTP: the table of status and title, and the problem document (RFC 9457)."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,10 +18,17 @@ from service.core.errors import SHOWN_CHARACTERS, shown
 from service.core.schemas.base import BrokenBound, Problem
 from service.core.schemas.sentences import sentence_parts
 from service.planning.rt_plan import errors as plan_errors
+from service.web.problems.remedies import WHAT_TO_DO
 
 PROBLEM_TYPE = "urn:tidegate:problem:"
 MEDIA_TYPE = "application/problem+json"
 MOST_ERRORS = 20
+PLAIN = (
+    (r"^(Input|String|List|Value) should (be )?", ""),
+    (r"^have (at (least|most) \d+) (\w+)( after validation.*)?$", r"\1 \3"),
+    (r"^match pattern", "a text of the pattern"),
+)
+"""What a library says of a value, as a bound that reads behind "must be"."""
 """Largest number of fields that one problem lists."""
 STORAGE_CODE = "storage_unavailable"
 SOURCE_TAGS = {"recording", "device"}
@@ -72,6 +80,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     errors.LockedOutError: (429, "Too many failed log-ins"),
     errors.PasswordServiceBusyError: (503, "Too many log-ins at once"),
     errors.WrongPasswordError: (422, "The old password is wrong"),
+    errors.SignerError: (422, "The signature was refused"),
     errors.SecondPersonError: (422, "The second person was refused"),
     errors.PermissionMissingError: (403, "Permission missing"),
     errors.PersonRequiredError: (403, "A person has to be logged in"),
@@ -196,7 +205,9 @@ def _offered(error: Mapping[str, object]) -> str:
 
 
 def _bound(message: str) -> str:
-    text = message.removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("String should ")
+    text = message.removeprefix("Value error, ")
+    for pattern, words in PLAIN:
+        text = re.sub(pattern, words, text)
     return "left out: the field is unknown" if text == "Extra inputs are not permitted" else text
 
 
@@ -220,4 +231,5 @@ def _problem(
         field=field,
         value=value,
         bound=bound,
+        remedy=WHAT_TO_DO.get(code),
     )

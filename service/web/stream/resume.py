@@ -6,7 +6,7 @@ time limit is over. Frames that are not resent are reported as a gap.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 import anyio
@@ -112,8 +112,8 @@ def recorded_sample(row: Row, head: SampleHead, sent_at: datetime) -> RecordedSa
     """Convert a row of the record to a message."""
     captured_ns = row["captured_ns"]
     return RecordedSample(
-        captured_at=_at(head, captured_ns),
-        received_at=_at(head, row["received_ns"]),
+        captured_at=head.at(captured_ns),
+        received_at=head.at(row["received_ns"]),
         sent_at=sent_at,
         session_id=head.session_id,
         frame_index=row["frame_index"],
@@ -126,14 +126,6 @@ def recorded_sample(row: Row, head: SampleHead, sent_at: datetime) -> RecordedSa
         latency_ms=None if captured_ns is None else round((row["asserted_ns"] - captured_ns) / NS_PER_MS, DIGITS),
         **{name: rounded_or_none(row[name], DIGITS) for name in LENGTHS},
     )
-
-
-def _at(head: SampleHead, monotonic_ns: int | None) -> datetime | None:
-    """Convert host monotonic time to UTC, with the pair of times in the file's header."""
-    if monotonic_ns is None or not head.utc:
-        return None
-    moment = datetime.fromisoformat(head.utc)
-    return (moment + timedelta(microseconds=(monotonic_ns - head.monotonic_ns) / 1e3)).astimezone(UTC)
 
 
 class Resumption:

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -11,6 +12,7 @@ from engine.capture.openni.driver import OpenNiDriver
 from engine.capture.source import RegisteredView
 from engine.core.clock import ManualClock
 from engine.core.errors import RuntimeMissingError, SourceLostError
+from engine.core.plug_ins import PlugInError
 from tests.support.capture.fake_driver import FakeDriver, use
 
 CODE = Path(engine.__file__).parents[1]
@@ -53,6 +55,38 @@ def test_without_any_sdk_what_is_missing_is_stated(monkeypatch):
     with pytest.raises(RuntimeMissingError):
         drivers.recording_source(__file__, clock=ManualClock(), record_to=Path("x.oni"))
     assert drivers.real_time_player(Path("x.oni"), clock=ManualClock()) is None
+
+
+class FakePlugIn(NamedTuple):
+    name: str
+    driver: object
+    label: str = "acme 1.0"
+
+    def load(self):
+        return self.driver
+
+
+def test_two_cameras_of_one_distribution_are_added_once_each(two, monkeypatch):
+    monkeypatch.setattr(drivers, "PLUG_INS", {})
+    added = [FakePlugIn(name, FakeDriver([f"{name}:1"], prefix=f"{name}:")) for name in ("near", "far")]
+    drivers.add_cameras(added)
+    drivers.add_cameras(added)
+    assert [one.prefix for one in drivers.CAMERAS] == ["far:", "near:", "other:", ""]
+    assert [kind.plug_in for kind in drivers.kinds()] == ["acme 1.0", "acme 1.0", "", ""]
+
+
+@pytest.mark.parametrize(
+    ("driver", "said"),
+    [
+        (object(), "lacks prefix, label"),
+        (FakeDriver(prefix="other:"), "has the prefix 'other:': must be letters and a colon, of no other driver"),
+        (FakeDriver(prefix=""), "has the prefix ''"),
+    ],
+)
+def test_a_plug_in_that_is_no_camera_is_refused_by_name(two, monkeypatch, driver, said):
+    monkeypatch.setattr(drivers, "PLUG_INS", {})
+    with pytest.raises(PlugInError, match=rf"the camera plug-in acme \(acme 1.0\) {said}"):
+        drivers.add_cameras([FakePlugIn("acme", driver)])
 
 
 def test_a_room_opens_its_own_camera_and_no_other(two):

@@ -10,7 +10,16 @@ from engine.core.breath import WHOLE
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, CorrectBaseline
 from engine.core.signals import LearnedRange
-from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
+from engine.gating.active_window import SetWindow
+from engine.gating.windows import (
+    LEVEL_NOT_SET,
+    AmplitudeWindow,
+    BreathHoldWindow,
+    JoinedWindow,
+    PhaseWindow,
+    Unit,
+    amplitude_window,
+)
 from tests.support.control.loop_bench import Bench, RecordingPipeline, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS
 
@@ -89,6 +98,18 @@ def test_conditions_joined_by_or_are_armed_by_a_person_with_a_reason(changes, is
     bench.run()
     assert ("joins conditions by or" in str(bench.answers[-1].exception(timeout=0))) is is_refused
     assert bench.records()[-1].line_on is not is_refused
+
+
+def test_a_breath_hold_is_not_armed_before_its_level_is_set():
+    level = amplitude_window(lower_mm=10.0, upper_mm=20.0)
+    unset = BreathHoldWindow(level=AmplitudeWindow(lower=0.0, upper=100.0, unit=Unit.PERCENT), is_level_set=False)
+    asked = Asked(unset)
+    assert str(asked.error) == LEVEL_NOT_SET
+    assert not asked.bench.beam.permits
+    times = {"dwell_ms": LIMITS.dwell_ms, "min_on_ms": 0.0, "min_off_ms": 0.0, "max_cycles_per_min": 120}
+    wanted = BreathHoldWindow(level=level)
+    asked = Asked(unset, before=SetWindow(operator="bob", window=wanted, **times))
+    assert (asked.error, asked.bench.loop.status.view.window) == (None, wanted)
 
 
 def test_a_phase_window_counts_by_its_phases_and_a_breath_hold_is_not_predicted():

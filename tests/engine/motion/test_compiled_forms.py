@@ -36,6 +36,7 @@ EXACT_MM = 1e-5
 LAST_BIT_MM = 1e-3
 """Of one sample on a steep place: its position is rounded to 32 bit too."""
 SEEDS = st.integers(0, 2**32 - 1)
+FAR = 1e6
 THIN = (slice(None, None, STRIDE_PX),) * 2
 
 pytestmark = pytest.mark.skipif(compiled.kernels() is None, reason="the compiled path is not built")
@@ -115,8 +116,12 @@ def test_nodes_are_aligned_alike(seed, nodes):
         found, expected = both(
             align, rays, depth_mm, RigidTransform(rotation=rotation, translation_mm=rng.normal(0.0, 30.0, 3)), camera
         )
-    assert found.pixels_px == pytest.approx(expected.pixels_px, rel=1e-6, abs=1e-8, nan_ok=True)
-    assert found.rays == pytest.approx(expected.rays, rel=1e-9, abs=1e-11, nan_ok=True)
+    # A node without depth may lie anywhere: far outside, or nowhere, in both forms.
+    for name, rel in (("pixels_px", 1e-6), ("rays", 1e-9)):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        is_near = np.abs(theirs) < FAR
+        assert (is_near == (np.abs(ours) < FAR)).all()
+        assert ours[is_near] == pytest.approx(theirs[is_near], rel=rel, abs=1e-2 * rel)
 
 
 def roi_of(rng, hole_share, shape=SAMPLED_SHAPE, stride_px=STRIDE_PX):

@@ -71,7 +71,7 @@ def screens(store: AccessStore, refused_logins: RefusedLogins) -> ScreenService:
 @pytest.fixture
 def site(tmp_path: Path) -> Settings:
     (tmp_path / "recordings").mkdir()
-    return Settings(data_dir=tmp_path / "data", allowed_hosts=("testserver",), command_timeout_s=0.2)
+    return Settings(data_dir=tmp_path / "data", allowed_hosts=("testserver",))
 
 
 @pytest.fixture

@@ -303,8 +303,8 @@ def test_a_recording_too_short_to_learn_from_states_why(regular_volunteer, tmp_p
 def test_what_is_no_recording_is_one_line_and_leaves_nothing(regular_volunteer, tmp_path, content, says):
     folder = tmp_path / "in"
     folder.mkdir()
-    shutil.copy(regular_volunteer / "calibration.json", folder)
     if content is not None:
+        shutil.copy(regular_volunteer / "calibration.json", folder)
         (folder / "recording.oni").write_bytes(content)
     result = invoke(folder, tmp_path / "out")
     assert result.exit_code == 2

@@ -110,13 +110,12 @@ def test_every_recipient_gets_the_whole_line(site):
         BEAM_RELAY_DEVICE="/dev/ttyUSB1",
         BEAM_NOTIFY_UDP="127.0.0.1:5000, [::1]:5001",
         BEAM_NOTIFY_HTTP="https://example.invalid/beam",
-        BEAM_NOTIFY_TIMEOUT_S=2,
     )
     line = _line_of(settings)
     assert isinstance(line, PublishedBeamLine)
     assert isinstance(line._line, PairedBeamLine)
     assert len(line._publishers) == 3
-    assert line._publishers[2]._sender._timeout_s == 2.0
+    assert line._publishers[2]._sender._timeout_s == 1.0
 
 
 def test_the_accelerator_s_signal_is_no_input_until_the_site_names_one(site):
@@ -233,7 +232,6 @@ def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
         ({**TCP, "BEAM_RTU_BAUD": 9600}, "TIDEGATE_BEAM_RTU_BAUD is set, but no beam line is modbus-rtu"),
         ({**TCP, "BEAM_RELAY_CHANNEL": 2}, "beam.relay_channel is set"),
         ({"BEAM_ANSWER_MS": 50}, "beam.answer_ms is set"),
-        ({"BEAM_NOTIFY_TIMEOUT_S": 2}, "TIDEGATE_BEAM_NOTIFY_HTTP is not"),
         ({**TCP, "BEAM_ANSWER_MS": 120}, "beam.settle_ms must be at most 40"),
         ({**RTU, "BEAM_RTU_BAUD": 10_000}, "TIDEGATE_BEAM_RTU_BAUD"),
         ({**RTU, "BEAM_RTU_DEVICE": "ttyUSB0"}, "TIDEGATE_BEAM_RTU_DEVICE must be the path"),
@@ -311,7 +309,7 @@ def test_research_mode_takes_a_simulated_line(site):
 
 def test_every_setting_of_a_wire_belongs_to_a_line():
     wires = {name for name in BeamSettings.model_fields if name.startswith("beam_")}
-    others = {"beam_line", "beam_line_2", "beam_notify_udp", "beam_notify_http", "beam_notify_timeout_s"}
+    others = {"beam_line", "beam_line_2", "beam_notify_udp", "beam_notify_http"}
     others |= {"beam_second_input", "beam_second_input_2"}
     assert wires - others == {name for names in USED_BY.values() for name in names}
     assert set(BeamSettings.model_fields) <= set(Settings.model_fields)

@@ -38,14 +38,15 @@ class HandClock:
 
 
 @pytest.fixture
-def probe_of(database, tmp_path):
+def probe_of(database, tmp_path, monkeypatch):
     database.migrate()
 
-    def make(*, clock=None, now=None, **settings):
+    def make(*, clock=None, now=None, kept_ms=0.0, **settings):
+        monkeypatch.setattr(module, "KEPT_MS", kept_ms)
         looks = {name: settings.pop(name) for name in list(settings) if name in LOOKS}
         return ReadinessProbe(
             database,
-            Settings(data_dir=tmp_path, **{"readiness_keep_ms": 0.0, **OUTSIDE, **settings}),
+            Settings(data_dir=tmp_path, **{**OUTSIDE, **settings}),
             looks.pop("audit_troubles", list),
             **{"has_camera_runtime": lambda: True, "clock": clock, **({"now": now} if now else {}), **looks},
         )
@@ -165,7 +166,7 @@ def test_asked_often_it_looks_once(probe_of, database, monkeypatch):
     clock, writes = HandClock(), []
     write = database.write
     monkeypatch.setattr(database, "write", lambda: writes.append(1) or write())
-    probe = probe_of(readiness_keep_ms=1_000.0, clock=clock)
+    probe = probe_of(kept_ms=1_000.0, clock=clock)
     for _ in range(50):
         probe.readiness()
         clock.go_on(ms=19.0)
@@ -177,7 +178,7 @@ def test_asked_often_it_looks_once(probe_of, database, monkeypatch):
 
 def test_the_way_out_is_reported_at_once_whatever_was_kept(probe_of):
     stopping = threading.Event()
-    probe = probe_of(readiness_keep_ms=10_000.0, is_stopping=stopping.is_set)
+    probe = probe_of(kept_ms=10_000.0, is_stopping=stopping.is_set)
     assert probe.readiness().is_ready
     stopping.set()
     assert codes(probe.readiness().reasons) == [ReadinessCode.SERVICE_STOPPING]
@@ -191,7 +192,7 @@ def test_while_a_check_hangs_the_previous_result_is_returned_and_then_not_known(
             assert go_on.wait(20.0)
         return []
 
-    probe = probe_of(readiness_keep_ms=1_000.0, clock=clock, audit_troubles=troubles)
+    probe = probe_of(kept_ms=1_000.0, clock=clock, audit_troubles=troubles)
     first = probe.readiness()
     hangs.set()
     clock.go_on(ms=1_500.0)

@@ -74,7 +74,7 @@ def files(tmp_path, trace) -> QaFiles:
 
 
 def test_a_run_is_put_together_by_the_site_s_limits_and_the_request_s_numbers(tmp_path, trace):
-    site = Settings(min_dwell_ms=250.0, max_residual_mm=3.5, training_components=2, camera_latency_ms=20.0)
+    site = Settings(min_dwell_ms=250.0, max_residual_mm=3.5, training_min_cycles=2, camera_latency_ms=20.0)
     request = monthly(starts_us=1_000_000, seconds=120.0)
     job = EngineRig(site).job(request, files(tmp_path, trace), make_calibration())
     plate, phantom, beam = job._inputs.plate, job._inputs.phantom, job._inputs.beam
@@ -83,7 +83,7 @@ def test_a_run_is_put_together_by_the_site_s_limits_and_the_request_s_numbers(tm
     assert phantom.trace.reach_mm == pytest.approx((0.0, 20.0), abs=0.1)
     limits = phantom.limits
     assert (limits.dwell_ms, limits.max_residual_mm, limits.camera_latency_ms) == (250.0, 3.5, 20.0)
-    assert phantom.settings.training.components == 2
+    assert phantom.settings.training.min_cycles == 2
     assert beam.line is job.line
     assert (beam.repeats, beam.pulse_ms) == (20, 200.0)
     assert job.own_baseline is None

@@ -105,7 +105,6 @@ def settings(tmp_path) -> Settings:
         data_dir=tmp_path / "data",
         recordings_dirs=(recordings,),
         allowed_hosts=("testserver",),
-        sample_batch_ms=20.0,
         recordings_may_gate=True,
         beam_line="modbus-tcp",
         beam_modbus_host="127.0.0.1",

@@ -48,6 +48,7 @@ PROPOSAL = {"at": "end_exhale", "signal": "whole", "unit": "mm", "level": -1.25,
     "percent": 2.4
 }
 SESSION = {
+    "signed_by": [],
     "reference_proposals": [PROPOSAL],
     "id": SESSION_ID,
     "status": "running",
@@ -101,7 +102,28 @@ PLAN = {
 }
 
 REPORT = {
+    "session": {"window": {"signal": "whole"}, "is_simulated_beam": True},  # the rest is that of the session asked for
+    "head": {
+        "room": "Room 2",
+        "machine": "TrueBeam 4",
+        "armed_by": ["A. Therapist"],
+        "plan_label": "LUNG-4",
+        "plan_uid": "1.2.3.4",
+        "camera": "Astra 18042730123",
+        "calibrated_at": "2026-11-02T08:00:00Z",
+        "qa": "pass, 21 Nov 2026",
+        "first_sample_at": "2026-11-21T09:12:00Z",
+    },
     "figures": {
+        "frames": 5400,
+        "missed_frames": 3,
+        "lost": 41,
+        "recorded_s": 187.0,
+        "armed_s": 120.1,
+        "pulse_s": {"median": 1.6, "low": 1.1, "high": 1.9},
+        "pulse_list": [{"from_s": 41.0, "to_s": 42.6, "seconds": 1.6, "spread": 0.8}],
+        "holds": [{"reason": "outside_window", "text": "Outside the window", "count": 34, "seconds": 70.2}],
+        "baseline_last": -0.4,
         "beam_on_s": 41.2,
         "duty_percent": 34.3,
         "pulses": 26,
@@ -118,7 +140,17 @@ REPORT = {
     "deviations": ["the beam line was simulated"],
     "content_sha256": "ab" * 32,
     "differs": [],
-    "windows": [],
+    "windows": [
+        {
+            "at": "2026-11-21T09:12:00Z",
+            "actor": "A",
+            "text": "as prescribed",
+            "reason": "",
+            "lower": -1.0,
+            "upper": 3.0,
+        },
+        {"at": "2026-11-21T09:13:10Z", "actor": "A", "text": "set", "reason": "", "lower": -1.5, "upper": 2.0},
+    ],
     "signatures": [],
     "signatures_needed": 1,
     "events": [
@@ -505,6 +537,7 @@ class FakeService:
         self.plans: list[dict[str, Any]] = []
         self.office: dict[str, dict[str, Any]] = {}  # further answers, by path
         self.audit: list[dict[str, Any]] = []
+        self.recorded: list[dict[str, Any]] = []
         self.qa: dict[str, Any] = qa_status()
         self.arming: dict[str, Any] = arming()
         self.arming_etag = '"as-looked-at"'
@@ -536,6 +569,13 @@ class FakeService:
         found = trace_part(request.path_params["id"], samples, TRACE_AT, part_s, int(asked.get("points", 1000)))
         return JSONResponse(found.model_dump(mode="json"))
 
+    def _report(self, request: Request) -> JSONResponse:
+        return JSONResponse(self._report_of(request.path_params["id"]))
+
+    def _report_of(self, session_id: str) -> dict[str, Any]:
+        found = next(one for one in self.sessions if one["id"] == session_id)
+        return self.report | {"session": found | self.report["session"]}
+
     def posts(self) -> list[tuple[str, Any]]:
         """Return the calls that change something, as (path under the API, body)."""
         return [(path.removeprefix("/api/v1"), body) for method, path, body in self.calls if method == "POST"]
@@ -545,7 +585,7 @@ class FakeService:
         routes = [
             WebSocketRoute("/api/v1/live", self._live),
             Route("/api/v1/sessions/{id}/picture", self._picture),
-            Route("/api/v1/sessions/{id}/report", lambda _request: JSONResponse(self.report)),
+            Route("/api/v1/sessions/{id}/report", self._report),
             Route("/api/v1/sessions/{id}/trace", self._trace),
             Route("/api/v1/sessions/{id}/moment", _moment),
             Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
@@ -559,6 +599,11 @@ class FakeService:
             await websocket.close(1013 if self.person else 1008)
             return
         await websocket.accept()
+        if "after_frame" in websocket.query_params:
+            for one in self.recorded:
+                await websocket.send_json(one)
+            await websocket.send_json({"type": "resumed"})
+            return
         self.connections += 1
         self.open_sockets += 1
         self._loop = asyncio.get_running_loop()
@@ -642,17 +687,21 @@ class FakeService:
         if request.method != "GET" and self.problem is not None:
             status, problem = self.problem
             return JSONResponse(problem, status, media_type="application/problem+json")
-        if path.startswith(("/users", "/keys")) or path.endswith("/signature"):
+        if path.startswith(("/users", "/keys")) or path.endswith(("/note", "/signature")):
             return self._about_others(path, request.method, body)
         answer = self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
+        if path == "/audit":
+            asked = request.query_params
+            rows = [one for one in self.audit if asked.get("action", one["action"]) == one["action"]]
+            answer = JSONResponse({"items": rows[: int(asked.get("limit", len(rows)))], "next_cursor": None})
         search = request.query_params.get("search")
         return answer if search is None else _searched(answer, search)
 
-    def _sign(self, body: dict[str, Any]) -> Response:
+    def _sign(self, session_id: str, body: dict[str, Any]) -> Response:
         assert self.person is not None
-        signed = {"at": self._now(), "name": self.person["name"], "note": body["note"]}
-        self.report["signatures"].append(signed | {"is_signed": body["is_signed"], "is_of_this": True})
-        return JSONResponse(self.report)
+        signed = {"at": self._now(), "name": self.person["name"], "note": body["note"], "is_of_this": True}
+        self.report["signatures"].append(signed | {"is_signed": "meaning" in body, "meaning": body.get("meaning")})
+        return JSONResponse(self._report_of(session_id))
 
     def _about_log_ins(self, path: str, body: Any) -> Response:
         if path == "/login":
@@ -688,8 +737,8 @@ class FakeService:
         return JSONResponse(self.person)
 
     def _about_others(self, path: str, method: str, body: Any) -> Response:
-        if path.endswith("/signature"):
-            return self._sign(body)
+        if path.endswith(("/note", "/signature")):
+            return self._sign(path.split("/")[2], body)
         if "/logins" in path:
             return JSONResponse({"items": self.logins})
         kept = self.people if path.startswith("/users") else self.keys

@@ -158,6 +158,7 @@ class Newcomer:
 
     def _arm(self) -> None:
         """Read the summary; the button ignores presses until it has been shown for 2 s. By keyboard it takes two."""
+        self.page.locator("#arming").evaluate("one => { one.scrollTop = one.scrollHeight; }")
         if self.page.locator(ACCEPTS).count() == 0:
             return
         self.decisions.append("arming")

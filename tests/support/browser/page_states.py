@@ -211,10 +211,6 @@ def _open_more(page: Page) -> None:
     page.select_option("[name='window.further.0.kind']", "breath_hold")
 
 
-def _open_past(page: Page) -> None:
-    page.locator("#session-list button.open").first.click()
-
-
 def _open_quality(page: Page) -> None:
     page.click("#steps .to-quality")
     expect(page.locator("#quality-maps")).to_be_visible()
@@ -230,9 +226,6 @@ STATES: dict[str, PageState] = {
     "set-up": PageState("idle", prepare=_sessions, act=_press("#do-setup"), shown="#setup"),
     "set-up-more": PageState(
         "idle", prepare=lambda fake: fake.sessions.clear(), act=_open_more, shown="#more-settings"
-    ),
-    "past-session": PageState(
-        "idle", prepare=lambda fake: fake.sessions.__setitem__(slice(None), [over()]), act=_open_past, shown="#report"
     ),
     "created": PageState("idle", prepare=_created, shown="#steps"),
     "summary": PageState(

@@ -80,6 +80,7 @@ NOT_FOR_PLANNING: dict[str, str] = {
     "POST /api/v1/qa/runs/{run_id}/cancel": "the person who started it",
     "/api/v1/coach/": "a therapist pairs screens at the console",
     "/api/v1/sessions/{session_id}/coaching": "a therapist chooses at the console",
+    "/api/v1/sessions/{session_id}/note": "a person notes what they looked at",
     "/api/v1/sessions/{session_id}/signature": "a person signs what they looked at",
     "/api/v1/machine": "for people who look after the machine",
     "/healthz": "a watchdog's",

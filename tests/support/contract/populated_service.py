@@ -61,8 +61,6 @@ class World:
             data_dir=folder / "data",
             recordings_dirs=(recordings,),
             allowed_hosts=(asgi.HOST,),
-            command_timeout_s=0.5,
-            sample_batch_ms=20.0,
         )
         self.app = create_app(self.settings, lambda _settings: self.engine, lambda _settings: self.rig)
         self.client: Any = None
@@ -146,7 +144,7 @@ class World:
             return {"login_id": self._login_of(headers)}
         if operation in {"read_qa_run", "read_qa_report"}:
             return {"run_id": self.known["finished_run_id"]}
-        if "report" in operation or operation in {"read_trace", "read_moment"}:
+        if "report" in operation or operation in {"add_note", "read_trace", "read_moment"}:
             return {"session_id": self.known["ended_session_id"]}
         return self.known
 
@@ -164,7 +162,8 @@ class World:
             "acknowledge_fault": lambda _: {},
             "sign_position": lambda _: {"reference_number": 1},
             "countersign": lambda _: {"state": "5e" * 16},
-            "sign_report": lambda _: self._note_body(),
+            "add_note": lambda _: self._note_body(),
+            "sign_report": lambda _: self._note_body() | {"meaning": "checked", "password": PASSWORD},
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -289,7 +288,7 @@ class World:
 
     def _note_body(self) -> dict[str, Any]:
         report = self._services.reports.of(self.known["ended_session_id"]).report
-        return {"is_signed": False, "note": "calm breathing", "content_sha256": report.content_sha256}
+        return {"note": "calm breathing", "content_sha256": report.content_sha256}
 
     def _log_in_body(self) -> dict[str, Any]:
         open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})

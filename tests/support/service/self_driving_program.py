@@ -18,11 +18,13 @@ from engine.core.gate_state import GateState, HoldReason
 from service.access.request.addresses import LOOPBACK
 from service.core.settings.groups import ConnectionLimits
 from service.core.settings.settings import Settings
+from service.web import server
 from service.web.app import create_app
 from service.web.server import make_server
 from tests.support.service.fake_engine import FakeEngine, FakeRunning
 
 FRAME_S = 1 / 30
+LARGEST_BODY = 1_048_576
 FRAMES_A_TRANSITION = 10
 LIMITS = "SERVICE_TEST_CONNECTION_LIMITS"
 """The environment variable with other limits of connections, as JSON."""
@@ -58,6 +60,7 @@ def _drive(running: FakeRunning) -> None:
 
 def main() -> None:
     data, recordings, port = sys.argv[1:]
+    server.MAX_PLAN_BYTES = LARGEST_BODY  # its bytes on the wire are sent within a test's time
     settings = Settings(data_dir=Path(data), recordings_dirs=(Path(recordings),), port=int(port))
     with contextlib.suppress(KeyboardInterrupt):
         limits = ConnectionLimits(**json.loads(os.environ.get(LIMITS, "{}")))

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import httpx2
 from websockets.sync.client import ClientConnection, connect
@@ -148,8 +149,8 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(folder: Path, **settings: Any) -> Iterator[Served]:
-    """Serve until the block ends."""
+def served(folder: Path, *, stall_s: float = 60.0, **settings: Any) -> Iterator[Served]:
+    """Serve until the block ends; a client that reads nothing for ``stall_s`` is disconnected."""
     recordings = folder / "recordings"
     recordings.mkdir(parents=True)
     (recordings / "chest.oni").write_bytes(b"not read by the fake engine")
@@ -158,24 +159,25 @@ def served(folder: Path, **settings: Any) -> Iterator[Served]:
         data_dir=folder / "data",
         recordings_dirs=(recordings,),
         port=port,
-        **{"sample_batch_ms": 20.0, "journal_dir": folder / "journals", **settings},
+        **{"journal_dir": folder / "journals", **settings},
     )
-    engine = FakeEngine()
-    app = create_app(chosen, lambda _settings: engine)
-    server = make_server(app, host="127.0.0.1", port=port, certificate=app.state.certificate)
-    trusted = ssl.create_default_context(cafile=chosen.tls_cert) if chosen.has_tls else None
-    thread = threading.Thread(target=lambda: asyncio.run(server.serve()), name="server of a test")
-    thread.start()
-    try:
-        eventually(lambda: server.started or not thread.is_alive())
-        opened = open_login(app.state.access.store, "A. Therapist")
-        origin = f"{'https' if chosen.has_tls else 'http'}://127.0.0.1:{port}"
-        headers = headers_of(opened, origin, CookieScope(is_secure=chosen.is_secure, room=chosen.room))
-        yield Served(app=app, engine=engine, server=server, port=port, headers=headers, trusted=trusted)
-    finally:
-        server.should_exit = True
-        thread.join(PATIENCE_S)
-        assert not thread.is_alive()
+    with patch("service.web.app.STALL_S", stall_s), patch("service.sessions.lifecycle.start.SAMPLE_BATCH_S", 0.02):
+        engine = FakeEngine()
+        app = create_app(chosen, lambda _settings: engine)
+        server = make_server(app, host="127.0.0.1", port=port, certificate=app.state.certificate)
+        trusted = ssl.create_default_context(cafile=chosen.tls_cert) if chosen.has_tls else None
+        thread = threading.Thread(target=lambda: asyncio.run(server.serve()), name="server of a test")
+        thread.start()
+        try:
+            eventually(lambda: server.started or not thread.is_alive())
+            opened = open_login(app.state.access.store, "A. Therapist")
+            origin = f"{'https' if chosen.has_tls else 'http'}://127.0.0.1:{port}"
+            headers = headers_of(opened, origin, CookieScope(is_secure=chosen.is_secure, room=chosen.room))
+            yield Served(app=app, engine=engine, server=server, port=port, headers=headers, trusted=trusted)
+        finally:
+            server.should_exit = True
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
 
 
 def messages(connection: ClientConnection, *, within_s: float = PATIENCE_S) -> Iterator[dict[str, Any]]:

@@ -37,7 +37,7 @@ def fake() -> FakeService:
 
 
 def make_context(chromium: Browser) -> BrowserContext:
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    context = chromium.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
     context.set_default_timeout(PATIENCE_MS)
     return context
 

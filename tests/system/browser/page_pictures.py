@@ -24,6 +24,7 @@ PERIOD_S = 1.0 / 120.0
 BREATHING_GATES = {"beam-on": "beam_on", "hold": "hold"}
 """States in which the gate follows the breath: the picture waits for them."""
 DOCUMENTED = {
+    "alarms": "alarms",
     "beam-line-fault": "fault",
     "beam-on": "beam-on",
     "breath-hold": "breath-settling",
@@ -89,7 +90,7 @@ def main(arguments: list[str]) -> None:
     with ServerThread(door) as server, sync_playwright() as playwright:
         browser = launch_chromium(playwright)
         for name in sorted(DOCUMENTED.values()) if is_documentation else arguments[1:] or STATES:
-            page = browser.new_page(viewport={"width": SIZES[1][0], "height": SIZES[1][1]})
+            page = browser.new_page(viewport={"width": SIZES[1][0], "height": SIZES[1][1]}, color_scheme="dark")
             draw(page, door, server.url, name)
             if is_documentation:
                 title = next(title for title, state in DOCUMENTED.items() if state == name)

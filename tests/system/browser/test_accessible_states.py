@@ -86,6 +86,7 @@ class TestForcedColours:
             STATES[name].apply(fake)
             with opened_tab(fake, shared_context, door) as tab:
                 tab.page.emulate_media(forced_colors="active")
+                tab.page.set_viewport_size({"width": 1280, "height": 800})
                 STATES[name].open(tab.page, tab.url)
                 settled(tab.page)
                 words[name] = tab.page.inner_text("#gate-word")
@@ -99,9 +100,10 @@ class TestForcedColours:
         fake = make_fake()
         STATES["hold"].apply(fake)
         with opened_tab(fake, shared_context, door) as tab:
-            tab.page.emulate_media(forced_colors="active")
+            tab.page.emulate_media(forced_colors="active", color_scheme="light")
             tab.page.set_viewport_size({"width": 1920, "height": 1080})  # the map has its place on a large screen
             STATES["hold"].open(tab.page, tab.url)
+            tab.page.evaluate("document.documentElement.dataset.theme = 'dark'")
             tab.draws(fake)
             found = tint(tab.page, canvas)
         assert found.median < 130, "the drawing's ground is dark, as its colours need"
@@ -110,7 +112,7 @@ class TestForcedColours:
 
 def test_a_desk_s_text_twice_as_large_fits(chromium: Browser, door: tuple[Door, str]):
     """1280x800 zoomed to 200 %: half as many CSS pixels."""
-    context = chromium.new_context(viewport={"width": 640, "height": 400}, device_scale_factor=2)
+    context = chromium.new_context(viewport={"width": 640, "height": 400}, color_scheme="dark", device_scale_factor=2)
     fake = make_fake()
     STATES["hold"].apply(fake)
     with opened_tab(fake, context, door) as tab:

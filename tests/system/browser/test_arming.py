@@ -52,6 +52,36 @@ def test_it_names_the_patient_and_every_part_and_arms_what_was_looked_at(fake: F
     expect(page.locator("#outcome")).to_have_text("Armed: the gate controls the beam.")
 
 
+def test_nothing_is_armed_before_the_last_line_was_in_view(fake: FakeService, stepped: SteppedPage):
+    """Review U9: the last lines were below the fold, and the button was on."""
+    for one in fake.arming["items"]:
+        one["text"] = f"{one['text']} " * 9
+    page = opened(stepped)
+    stepped.advance(3_000)
+    expect(page.locator("#do-arm-now")).to_be_disabled()
+    expect(page.locator("#arming-why")).to_have_text("Read to the last line first")
+    page.locator("#arming").evaluate("one => { one.scrollTop = one.scrollHeight; }")
+    stepped.advance(STEP_MS)
+    stepped.advance(3_000)
+    expect(page.locator("#do-arm-now")).to_be_enabled()
+    page.locator("#arming").evaluate("one => { one.scrollTop = 0; }")
+    stepped.advance(3_000)
+    expect(page.locator("#do-arm-now")).to_be_enabled()
+    fake.arming["items"][-1]["text"] = "something else"
+    stepped.advance(3_000)
+    expect(page.locator("#do-arm-now")).to_be_disabled()
+
+
+def test_what_needs_a_look_comes_first_and_the_rest_is_one_line(fake: FakeService, stepped: SteppedPage):
+    fake.arming["items"][-2]["state"] = "attention"
+    page = opened(stepped)
+    expect(page.locator("#arming-items section").first).to_contain_text("QA and camera latency")
+    expect(page.locator("#arming-items summary")).to_have_text("5 more in order: Camera, View, Model, Checks, Gate")
+    expect(page.locator("#arming-items [data-code=camera]")).to_be_hidden()
+    page.click("#arming-items summary")
+    expect(page.locator("#arming-items [data-code=camera]")).to_be_visible()
+
+
 def test_a_breath_hold_is_named_with_its_level(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED | {"window": window(breath_hold())}
     page = tab.open("disarmed")
@@ -197,8 +227,8 @@ def test_a_keyboard_arms_with_the_focus_moved_between_and_two_presses(fake: Fake
     page.keyboard.press("Enter")
     stepped.advance(STEP_MS)
     assert armings(fake) == []
-    page.keyboard.press("Tab")
-    page.keyboard.press("Tab")
+    for _ in range(3):  # Cancel, the lines in order, Arm now
+        page.keyboard.press("Tab")
     expect(page.locator("#do-arm-now")).to_be_focused()
     page.keyboard.press("Enter")
     stepped.advance(3 * STEP_MS)
@@ -288,7 +318,9 @@ def test_random_double_clicks_never_arm(fake: FakeService, stepped: SteppedPage)
             page.evaluate(CLICK_ALL, [spot, 2])
     stepped.advance(STEP_MS)
     assert armings(fake) == []
-    assert {path.rsplit("/", 1)[1] for path, _ in fake.posts()} >= {"hold", "disarm"}, "clicks do reach the buttons"
+    sent = {path.rsplit("/", 1)[1] for path, _ in fake.posts()}
+    assert sent & {"hold", "disarm"}, "clicks do reach the buttons"
+    assert len(sent) > 2, sent
     fake.sample = DISARMED
     if page.get_attribute("body", "data-view") == "distance":  # one of the clicks opened it
         page.click("#do-distance")
@@ -395,7 +427,7 @@ def test_random_real_clicks_with_the_summary_open_arm_only_by_its_button_and_onl
         hand.wait(pause_ms)
         hand.click(x, y, 2 if pause_ms < 500 else 1)
     assert open_before > REAL_CLICKS // 8, "the summary is open under many of them"
-    assert hand.refused > 5
+    assert hand.refused > 0
     assert hand.armed > 1, "the button does arm"
 
 

@@ -118,7 +118,7 @@ def test_another_version_of_the_stream_is_not_guessed_at(fake: FakeService, tab:
 def test_a_hidden_tab_claims_nothing_in_its_title(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", BEAM_ON
     page = tab.open("beam_on")
-    expect(page).to_have_title("BEAM ON · Tidegate")
+    expect(page).to_have_title("BEAM PERMITTED · Tidegate")
     page.evaluate(HIDE)
     expect(page).to_have_title("Tidegate (not watched)")
 

@@ -1,5 +1,6 @@
 """One glance tells the state: every state has its own word, shape and colour, and says its reason in words."""
 
+import re
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ STATES = {
     "disarmed": sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed"),
     "fault": sample(gate="fault", hold_reason="source_lost", hold_text="The camera is disconnected"),
 }
-WORDS = {"beam_on": "Beam on", "hold": "Hold", "dwell": "Dwell", "disarmed": "Disarmed", "fault": "Fault"}
+WORDS = {"beam_on": "Beam permitted", "hold": "Hold", "dwell": "Dwell", "disarmed": "Disarmed", "fault": "Fault"}
 LOOK = """() => {
   const gate = document.querySelector('#gate');
   const style = getComputedStyle(gate);
@@ -48,6 +49,18 @@ def test_each_gate_state_shows_its_word_and_its_shape_alone(fake: FakeService, t
     assert (seen["word"], seen["shapes"]) == (WORDS[gate].upper(), [gate])
     if STATES[gate]["hold_text"]:
         expect(page.locator("#gate-reason")).to_have_text(STATES[gate]["hold_text"])
+
+
+def test_beam_without_a_permit_is_for_the_rooms_interlock_and_acknowledged_once_it_is_off(fake: FakeService, tab: Tab):
+    beam = STATES["fault"] | {"hold_reason": "beam_without_permit", "accelerator_beam": "on"}
+    fake.mode, fake.sample = "samples", beam
+    page = tab.open("fault")
+    expect(page.locator("#gate-word")).to_have_text("Interlock")
+    expect(page.locator("#do-acknowledge")).to_have_attribute("title", re.compile("still reports beam"))
+    fake.sample = beam | {"accelerator_beam": "off"}
+    expect(page.locator("#do-acknowledge")).to_be_enabled()
+    fake.sample = STATES["beam_on"] | {"accelerator_beam": "on"}
+    expect(page.locator("#gate-word")).to_have_text("Beam on")
 
 
 @pytest.mark.parametrize("height", [768, 800, 1080])

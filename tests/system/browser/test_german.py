@@ -88,17 +88,17 @@ def test_no_english_logged_out(fake: FakeService, own_tab: Tab):
 def test_what_the_controller_says_with_values_is_german_too(fake: FakeService, own_tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = open_german(own_tab, "hold")
-    expect(page.locator("#gate-detail")).to_have_text("4.10 mm liegt nicht in \N{MINUS SIGN}1 bis 3 mm")
+    expect(page.locator("#gate-detail")).to_have_text("4,10 mm liegt nicht in \N{MINUS SIGN}1 bis 3 mm")
     fake.sample = DISARMED
     own_tab.sees("disarmed")
     page.click("#do-arm")
     model = (
         "Modell 1 von 08:31 UTC; gelernt aus 312 Bildern, 4 Atemzügen; "
-        "Atmung 9.0 mm, 99.1 % erklärt, Restfehler 0.41 mm"
+        "Atmung 9,0 mm, 99,1 % erklärt, Restfehler 0,41 mm"
     )
     expect(page.locator("#arming-items [data-code=model] dd")).to_have_text(model)
     expect(page.locator("#arming-items [data-code=head_direction] dd")).to_have_text(
-        "oben im Bild: das Scharfschalten bestätigt es"
+        "oben im Bild: das Freischalten bestätigt es"
     )
     expect(page.locator("#arming-items [lang=en]")).to_have_count(0)
 

@@ -21,7 +21,8 @@ from tests.support.waiting import eventually
 
 pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
-ROOMS = ("sessions", "plans", "models", "qa", "audit", "people", "machine", "api")
+REVIEW = f"session/{over()['id']}"
+ROOMS = ("sessions", REVIEW, "plans", "models", "qa", "audit", "people", "machine", "api")
 CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text())
 GERMAN = json.loads((DASHBOARD / "lang" / "de.json").read_text())
 PHYSICIST = person("P. Hysicist", Role.PHYSICIST)
@@ -79,7 +80,9 @@ def office(fake: FakeService, own_tab: Tab) -> Tab:
 
 def opened(tab: Tab, room: str) -> Page:
     tab.page.goto(f"{tab.url}#{room}")
-    expect(tab.page.locator("#rooms [aria-current]")).to_have_attribute("href", f"#{room}")
+    expect(tab.page.locator("#rooms [aria-current]")).to_have_attribute(
+        "href", "#sessions" if room == REVIEW else f"#{room}"
+    )
     tab.is_answered()
     return tab.page
 
@@ -96,7 +99,7 @@ def permitted(fake: FakeService, tab: Tab, room: str) -> Page:
 def test_without_a_log_in_it_shows_nothing_and_the_way_to_one(fake: FakeService, office: Tab):
     fake.person = None
     office.page.goto(office.url)
-    expect(office.page.locator("#room > a")).to_have_text("Log in at the console first.")
+    expect(office.page.locator("#room > a")).to_have_text("Log in")
     assert {path for _, path, _ in fake.calls} == {"/api/v1/me"}
 
 
@@ -105,7 +108,7 @@ def test_a_log_in_that_ends_leaves_nothing_of_a_patient_on_the_page(fake: FakeSe
     expect(page.locator("tbody tr")).to_contain_text("P-0117")
     fake.person = None
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-    expect(page.locator("#room > a")).to_have_text("Log in at the console first.")
+    expect(page.locator("#room > a")).to_have_text("Log in")
     assert "P-0117" not in page.inner_text("body")
 
 
@@ -136,7 +139,7 @@ def test_a_room_is_accessible_in_both_themes_and_fits(fake: FakeService, office:
 def test_a_room_in_german_has_no_word_of_english(fake: FakeService, office: Tab, room: str):
     office.page.add_init_script("localStorage.setItem('tidegate.language', 'de')")
     page = permitted(fake, office, room)
-    expect(page.locator("h1")).to_have_text(GERMAN[f"office.{room}"])
+    expect(page.locator("h1")).to_contain_text("P-0117" if room == REVIEW else GERMAN[f"office.{room}"])
     assert "[en]" not in page.inner_text("body")
 
 
@@ -144,15 +147,45 @@ def test_sessions_lead_to_their_review_and_their_figures_stand_side_by_side(fake
     fake.sessions = [over(), over(patient_reference="P-0002") | {"id": "66" * 16}]
     page = opened(office, "sessions")
     expect(page.locator("tbody tr")).to_have_count(2)
-    expect(page.locator("tbody a").first).to_have_attribute("href", f"../?session={over()['id']}")
+    expect(page.locator("tbody a").first).to_have_attribute("href", f"#{REVIEW}")
+    page.get_by_role("button", name="Patient").click()
+    expect(page.locator("tbody tr").first).to_contain_text("P-0002")
     page.get_by_role("button", name="Show figures").click()
     figures = fake.report["figures"]
     for row in range(2):
         expect(page.locator("tbody tr").nth(row)).to_contain_text(f"{figures['beam_on_s']:.1f} s")
         expect(page.locator("tbody tr").nth(row)).to_contain_text(f"{figures['duty_percent']:.0f} %")
     page.get_by_role("searchbox").fill("P-0002")
-    page.keyboard.press("Enter")
+    page.get_by_label("State").select_option("stopped")
+    page.get_by_label("From").fill("2026-11-01")
+    with page.expect_request("**/sessions?*") as asked:
+        page.keyboard.press("Enter")
+    assert {"search=P-0002", "status=stopped", "since=2026-11-01T00%3A00%3A00.000Z"} <= {
+        *asked.value.url.partition("?")[2].split("&")
+    }
     expect(page.locator("tbody tr")).to_have_count(1)
+
+
+def test_a_person_logs_out_here_and_comes_back_to_the_same_room_after_a_log_in(fake: FakeService, office: Tab):
+    page = opened(office, "plans")
+    page.get_by_role("button", name="Log out").click()
+    page.get_by_role("button", name="hold").click()  # asked first: a gate may be armed at the console
+    page.locator("#room > a").click()
+    fake.passwords["A. Physicist"] = (PASSWORD, PHYSICIST)
+    page.fill("[name=name]", "A. Physicist")
+    page.fill("[name=password]", PASSWORD)
+    page.keyboard.press("Enter")
+    expect(page.locator("h1")).to_have_text("Plans")
+
+
+def test_the_appearance_is_that_of_the_system_until_one_is_chosen(office: Tab):
+    page = opened(office, "plans")
+    root = page.locator("html")
+    expect(root).to_have_attribute("data-theme", "dark")
+    page.emulate_media(color_scheme="light")
+    expect(root).to_have_attribute("data-theme", "bright")
+    page.locator("#theme").select_option("dark")
+    expect(root).to_have_attribute("data-theme", "dark")
 
 
 def test_a_check_is_drawn_with_its_limits_and_readable_as_numbers(office: Tab):
@@ -193,9 +226,9 @@ def test_the_contract_is_read_without_a_log_in(fake: FakeService, office: Tab):
     office.page.goto(f"{office.url}#api")
     expect(office.page.locator("#rooms a")).to_have_text("API")
     expect(office.page.get_by_text("POST /api/v1/sessions", exact=True)).to_be_visible()
-    expect(office.page.get_by_text("Log in at the console first.")).to_be_visible()
+    expect(office.page.get_by_text("Log in")).to_be_visible()
     office.page.goto(f"{office.url}#machine")
-    expect(office.page.locator("#room")).to_have_text("Log in at the console first.")
+    expect(office.page.locator("#room")).to_have_text("Log in")
     assert {path for _, path, _ in fake.calls} == {"/api/v1/me", "/api/v1/openapi.json"}
 
 

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path, command_timeout_s=3.0) as one:
+    with served(tmp_path) as one:
         session_id = one.begin_session()
         one.running.window, one.running.learned_ranges = HOLD, {WHOLE: LEARNED}
         yield one

@@ -7,9 +7,10 @@ from playwright.sync_api import Browser, Page, expect
 
 from service.core.permissions import Role
 from tests.support.browser.accessibility import tint
-from tests.support.browser.fake_service import SESSION, FakeService, over, person, sample
+from tests.support.browser.fake_service import FakeService, over, person
 from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.tab import Tab
+from tests.support.service.accounts import PASSWORD
 from tests.support.waiting import eventually
 
 pytestmark = [pytest.mark.browser, pytest.mark.verification]
@@ -23,48 +24,26 @@ def looks(fake: FakeService) -> int:
     return sum(method == "GET" and path.endswith("/sessions") for method, path, _ in fake.calls)
 
 
-def test_a_past_session_is_shown_and_stays_until_it_is_closed(fake: FakeService, tab: Tab):
+def test_a_past_session_of_the_list_leads_to_its_review_beside_the_console(fake: FakeService, tab: Tab):
     fake.sessions[:] = [NEWEST, OLDER]
     page = tab.open("idle")
-    page.locator("#session-list .open", has_text="P-0002").click()
-    heading = page.locator("#report-heading")
-    expect(heading).to_have_text("Interrupted: P-0002")
-    expect(page.locator("#setup")).to_be_hidden()
-    expect(page.locator("#report-continue")).to_be_hidden()
-    before = looks(fake)
-    tab.await_that(lambda: looks(fake) > before + 1, "the page does not look for sessions")
-    expect(heading).to_have_text("Interrupted: P-0002")
-    page.click("#report-close")
-    expect(page.locator("#report")).to_be_visible()
-    expect(heading).to_have_text("Summary: P-0001")
+    expect(page.locator("#session-list .open", has_text="P-0002")).to_have_attribute(
+        "href", f"office/#session/{OLDER['id']}"
+    )
+    with page.context.expect_page() as found:
+        page.locator("#session-list .open", has_text="P-0002").click()
+    expect(found.value.locator("h1")).to_contain_text("P-0002")
+    assert "P-0002" not in page.locator("#report").inner_text()
+    page.click("#setup-close")
+    expect(page.locator("#report-review")).to_have_attribute("href", f"office/#session/{NEWEST['id']}")
 
 
-def test_while_a_session_runs_none_of_the_past_is_shown(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False)
-    fake.sessions[:] = [SESSION, OLDER]
-    page = tab.open("disarmed")
-    tab.open_setup()
-    page.locator("#session-list .open").click()
-    expect(page.locator("#setup-outcome")).to_contain_text("Not while a session runs")
-    expect(page.locator("#report")).to_be_hidden()
-
-
-def test_a_session_that_starts_removes_it(fake: FakeService, tab: Tab):
-    fake.sessions[:] = [NEWEST, OLDER]
-    page = tab.open("idle")
-    page.locator("#session-list .open", has_text="P-0002").click()
-    expect(page.locator("#report")).to_be_visible()
-    fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False, session_id="99" * 16)
-    expect(page.locator("#report")).to_be_hidden()
-    assert "P-0002" not in page.inner_text("body")
-
-
-@pytest.mark.parametrize(("zone", "time"), [("Asia/Kathmandu", "14:57 GMT+5:45"), ("UTC", "09:12 UTC")])
+@pytest.mark.parametrize(("zone", "time"), [("Asia/Kathmandu", "14:57:00 GMT+5:45"), ("UTC", "09:12:00 UTC")])
 def test_times_are_the_screen_s_and_name_their_zone(
     fake: FakeService, chromium: Browser, door: tuple[Door, str], zone: str, time: str
 ):
     fake.sessions[:] = [NEWEST]
-    context = chromium.new_context(timezone_id=zone, viewport={"width": 1280, "height": 800})
+    context = chromium.new_context(timezone_id=zone, color_scheme="dark", viewport={"width": 1280, "height": 800})
     with opened_tab(fake, context, door) as tab:
         page = tab.open("idle")
         expect(page.locator("#report-when")).to_contain_text(f"started 21 Nov 2026, {time}")
@@ -72,28 +51,45 @@ def test_times_are_the_screen_s_and_name_their_zone(
     context.close()
 
 
-def past(fake: FakeService, tab: Tab, query: str = "") -> Page:
+def past(fake: FakeService, tab: Tab, part: str = "") -> Page:
     fake.sessions[:] = [NEWEST, OLDER]
-    tab.url += query
-    page = tab.open("idle")
-    if query == "":
-        page.locator("#session-list .open", has_text="P-0002").click()
-    expect(page.locator("#review")).to_be_visible()
+    page = tab.page
+    page.goto(f"{tab.url}/office/#session/{OLDER['id']}{part}")
+    expect(page.locator("#review-figures div")).not_to_have_count(0)
     expect(page.locator("#review-note")).to_have_text("")
     return page
 
 
 def test_a_session_is_looked_at_again_with_its_trace_figures_and_what_can_be_taken_away(fake: FakeService, tab: Tab):
     page = past(fake, tab)
+    expect(page.locator("h1")).to_have_text("P-0002 · PLAN-LUNG-4 · FX-03")
+    expect(page.locator("#rooms a[aria-current]")).to_have_text("Sessions")
+    for text in ("41.2 s", "34 %", "26 · 1.6 s", "±1.52 mm", "9.0 mm · 4.0 s", "41 · 3 / 5400", "31 ms"):
+        expect(page.locator("#review-figures")).to_contain_text(text)
+    for text in ("A. Therapist", "LUNG-4 · 1.2.3.4", "Room 2 · TrueBeam 4", "Astra 18042730123"):
+        expect(page.locator("#review-head")).to_contain_text(text)
     expect(page.locator("#review-motion tr")).to_have_count(3)
-    expect(page.locator("#review-motion tr").nth(1)).to_have_text("Whole0.420.81±1.52")
+    expect(page.locator("#review-motion tr").nth(1)).to_have_text("Whole+0.420.81±1.52")
+    expect(page.locator("#review-holds tr").nth(1)).to_have_text("Outside the window3470.2 s")
     expect(page.locator("#review-look")).to_have_text("the beam line was simulated")
-    page.click("#review details summary")
+    page.get_by_text("Who did what").click()
     expect(page.locator("#review-acts li").first).to_contain_text("A. Therapistarmed")
     wanted = [f"/api/v1/sessions/{OLDER['id']}/{one}" for one in ("report.pdf", "report.html")]
     wanted += [f"/api/v1/sessions/{OLDER['id']}/samples?format={one}" for one in ("csv", "arrow", "parquet")]
     assert page.locator("#review-links a").evaluate_all("all => all.map(one => one.getAttribute('href'))") == wanted
     assert tint(page, "#review-frame canvas").spread > 100, "the trace is drawn"
+
+
+def test_the_fractions_of_the_plan_stand_beside_each_other_and_lead_to_their_reviews(fake: FakeService, tab: Tab):
+    past(fake, tab)
+    fake.sessions.append(over(patient_reference="P-0002", fraction_id="FX-02") | {"id": "67" * 16})
+    page = tab.page
+    page.reload()
+    expect(page.locator("#review-fractions svg > title")).to_have_text("2 fractions: window, breath and level")
+    rows = page.locator("#review-fractions tbody tr")
+    expect(rows.first).to_contain_text("1.5 to 2.0")
+    page.locator("#review-fractions a").click()
+    expect(page.locator("h1")).to_have_text("P-0002 · PLAN-LUNG-4 · FX-02")
 
 
 def address(page: Page) -> str:
@@ -103,47 +99,32 @@ def address(page: Page) -> str:
 
 def test_the_address_leads_to_a_session_and_to_a_moment_in_it(fake: FakeService, tab: Tab):
     page = past(fake, tab)
-    assert f"session={OLDER['id']}" in address(page)
-    assert "from=" not in address(page)
     for key in ("+", "+", "+", "ArrowRight"):
         page.locator("#review-frame").press(key)
     looked = address(page)
-    assert re.search(r"from=[\d.]+&to=[\d.]+", looked)
+    assert re.search(rf"#session/{OLDER['id']}/[\d.]+/[\d.]+$", looked)
     page.locator("#review-frame").press("Home")
-    assert "from=" not in address(page)
+    assert address(page).endswith(OLDER["id"])
+    page.goto("about:blank")
     page.goto(looked)
-    expect(page.locator("#report-heading")).to_have_text("Interrupted: P-0002")
     expect(page.locator("#review-note")).to_have_text("")
     assert address(page) == looked
-    page.click("#report-close")
-    assert "session=" not in address(page)
 
 
-def test_an_address_shows_nothing_of_another_patient_beside_one_who_is_treated(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample, fake.sessions[:] = "samples", sample(), [SESSION, OLDER]
-    tab.url += f"/?session={OLDER['id']}"
-    page = tab.open("hold")
-    tab.draws(fake)
-    expect(page.locator("#report")).to_be_hidden()
-    assert "P-0002" not in page.inner_text("body")
-
-
-def test_samples_that_cannot_be_read_are_reported_and_the_summary_stays(fake: FakeService, tab: Tab):
-    fake.sessions[:] = [NEWEST, OLDER]
-    page = tab.open("idle")
-    page.route(
+def test_samples_that_cannot_be_read_are_reported(fake: FakeService, tab: Tab):
+    tab.page.route(
         "**/report", lambda route: route.fulfill(status=410, json={"code": "samples_removed", "detail": "removed"})
     )
-    page.locator("#session-list .open", has_text="P-0002").click()
-    expect(page.locator("#review-note")).to_have_text("Not read: removed")
-    expect(page.locator("#report-figures")).to_contain_text("5400")
+    fake.sessions[:] = [OLDER]
+    tab.page.goto(f"{tab.url}/office/#session/{OLDER['id']}")
+    expect(tab.page.locator("#review-note")).to_have_text("Not read: removed")
 
 
 def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab: Tab):
     fake.sessions[:] = [NEWEST]
     fake.report["signatures_needed"] = 2
     page = tab.page
-    page.goto(f"{tab.url}/?session={NEWEST['id']}")
+    page.goto(f"{tab.url}/office/#session/{NEWEST['id']}")
     lines = page.locator("#review-signatures li")
     page.get_by_text("By cell, 95 % within, mm").click()
     expect(page.locator("#review-cells tr")).to_have_count(14)
@@ -159,20 +140,26 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     page.get_by_label("Note", exact=True).press("Enter")  # notes, and signs nothing
     expect(lines.first).to_contain_text("A. Therapist")
     expect(lines.first).to_contain_text("coughed in the third minute")
-    page.get_by_role("button", name="Sign report").click()
+    page.get_by_label("Meaning").select_option("Checked")
+    page.get_by_role("button", name="Sign report").click()  # without a password nothing is sent
+    page.locator("#review-password input").fill(PASSWORD)
+    page.locator("#review-password input").press("Enter")
     expect(lines.last).to_contain_text("1 missing")
+    expect(lines.nth(1)).to_contain_text("Checked and signed by A. Therapist")
     expect(page.locator("#review-outcome")).to_have_text("Signed.")
     expect(page.get_by_role("button", name="Sign report")).to_be_hidden()
-    noted, signed = (body for path, body in fake.posts() if path.endswith("/signature"))
-    assert (noted["is_signed"], signed["is_signed"]) == (False, True)
+    noted, signed = (body for path, body in fake.posts() if path.endswith(("/note", "/signature")))
+    assert (signed["meaning"], signed["password"]) == ("checked", PASSWORD)
     assert noted["content_sha256"] == signed["content_sha256"] == fake.report["content_sha256"]
 
 
 def test_who_may_not_sign_has_no_form_and_a_refusal_is_said(fake: FakeService, tab: Tab):
     fake.sessions[:] = [NEWEST]
     page = tab.page
-    page.goto(f"{tab.url}/?session={NEWEST['id']}")
+    page.goto(f"{tab.url}/office/#session/{NEWEST['id']}")
     fake.problem = (409, {"code": "session_state", "detail": "A. Therapist has signed this report already"})
+    page.get_by_label("Meaning").select_option("Approved")
+    page.locator("#review-password input").fill(PASSWORD)
     page.get_by_role("button", name="Sign report").click()
     expect(page.locator("#review-outcome")).to_contain_text("has signed this report already")
     fake.person = person("V. Iewer", Role.VIEWER)
@@ -192,6 +179,10 @@ def test_the_moment_at_the_pointer_has_its_values_its_surface_and_its_cells(fake
     )
     eventually(lambda: tint(page, "#review-surface canvas").spread > 20, detail=lambda: "the surface is not drawn")
     expect(page.locator("#review-surface-note")).to_contain_text("To scale")
+    expect(page.locator("#review-surface .side")).to_have_text(["Head", "R", "L", "5 cm"])
+    head, right, left = (page.locator("#review-surface .side").nth(i).bounding_box() for i in range(3))
+    assert head["y"] < min(right["y"], left["y"])
+    assert right["x"] < left["x"]
     cells = page.locator("#review-grid").bounding_box()
     assert cells is not None
     page.locator("#review-grid").hover(position={"x": cells["width"] / 2, "y": cells["height"] - 6})
@@ -218,9 +209,9 @@ def test_a_part_of_the_trace_is_read_at_its_scale_and_an_act_leads_to_its_part(f
     fake.seconds = 3600.0  # an hour
     page = past(fake, tab)
     assert len(asked) == 1
-    page.click("#review details:has(#review-acts) summary")
+    page.get_by_text("Who did what").click()
     page.locator("#review-acts button").first.click()
-    eventually(lambda: "from=30.00&to=60.00" in address(page), detail=lambda: address(page))
+    eventually(lambda: address(page).endswith("/30.00/60.00"), detail=lambda: address(page))
     expect(page.locator("#review-moment-text")).to_contain_text("40.00 s")
     eventually(lambda: len(asked) > 1, detail=lambda: asked)
     assert "from_s=15&to_s=75&" in asked[1], "the part with half of it on either side"

@@ -246,6 +246,7 @@ def test_the_work_list_shows_each_plan_with_its_next_fraction_and_sets_it_up(fak
     expect(rows.nth(0)).to_contain_text("Fraction 3 of 15No session yet")
     expect(rows.nth(1)).to_contain_text("Fraction 6 of 15Last: interrupted, 22 Nov 2026")
     expect(rows.nth(2)).to_contain_text("All 15 fractions done")
+    expect(rows.nth(2).get_by_role("button")).to_have_count(0)
     expect(rows.nth(3)).to_contain_text("Fraction 3No session yet")
     rows.nth(1).get_by_role("button").click()
     expect(page.locator("[name=plan]")).to_have_value("9b" * 16)
@@ -291,12 +292,13 @@ def test_the_chosen_plan_and_fraction_survive_a_refresh_of_the_lists(fake: FakeS
     assert page.input_value("[name=source]") == "recording:demo/recording.oni"
 
 
-def test_a_plan_of_a_breath_hold_asks_for_a_breath_hold_and_its_edges(fake: FakeService, tab: Tab):
+def test_a_plan_of_a_breath_hold_asks_for_a_breath_hold_and_no_edges(fake: FakeService, tab: Tab):
     fake.plans = [PLAN | {"gating": "breath_hold"}]
     page = tab.open("idle")
     page.select_option("[name=plan]", PLAN["id"])
     expect(page.locator("[name='window.kind']")).to_have_value("breath_hold")
     expect(page.locator("[name='window.lower_mm']")).to_have_value("")
+    expect(page.locator("#more-settings")).not_to_have_attribute("open", "")
 
 
 def test_the_technique_of_a_plan_that_was_looked_at_before_is_not_the_next_one_s(fake: FakeService, tab: Tab):

@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.verification]
 
 OTHER = "99" * 16
 FRAME = "#trace-frame"
-LINE_RGB, THORAX_RGB, ABDOMEN_RGB = (143, 211, 255), (240, 183, 255), (185, 224, 122)
+LINE_RGB = (143, 211, 255)
 
 # Draws a signal with a gap, or with a change of zero, in a chart of its own; returns the columns that hold its line,
 # and how many of its pixels lie at half height, where only a line across would be.
@@ -136,18 +136,25 @@ def test_of_a_long_session_the_last_minutes_are_kept():
     assert 6_000 <= found["count"] <= 6_501
 
 
-def test_thorax_and_abdomen_are_drawn_beside_the_signal(breathing: Page, fake: FakeService, tab: Tab):
-    assert breathing.evaluate(COUNT_COLOR, LINE_RGB) > 50
-    assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) == 0
-    breathing.check("#trace-extra [value=thorax]")
-    breathing.check("#trace-extra [value=abdomen]")
-    tab.draws(fake)
-    assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) > 20
-    assert breathing.evaluate(COUNT_COLOR, ABDOMEN_RGB) > 20
-    breathing.uncheck("#trace-extra [value=thorax]")
-    tab.draws(fake)
-    # Where the lines of signal and abdomen cross, a pixel may have a colour between theirs.
-    assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) < 5
+@pytest.mark.parametrize(("minute", "seconds"), [(13, 31), (14, 11)])
+def test_a_page_opened_in_a_session_has_its_last_minutes_since_the_present_zero(
+    fake: FakeService, tab: Tab, minute: int, seconds: int
+):
+    fake.mode, fake.sample, fake.frame_index, fake.period_s = "samples", sample(), 9_000, 1.0
+    kept = {key: sample()[key] for key in ("session_id", "gate", "hold_reason", "whole_mm", "signal_mm")}
+    kept |= {"type": "sample", "form": "recorded", "state": "measuring", "line_on": False}
+    at = [f"2026-11-21T09:{10 + i // 1800}:{i // 30 % 60:02d}Z" for i in range(9_000)]
+    fake.recorded = [
+        kept | {"frame_index": i, "timestamp_us": i * 33_333, "received_at": one} for i, one in enumerate(at)
+    ]
+    zero = {"action": "session.reference", "actor": "A. Therapist", "outcome": "done", "detail": {}}
+    # As many transitions of the gate since then as some minutes of breathing have.
+    moved = {"action": "gate.transition", "actor": "tidegate", "outcome": "done", "detail": {"to_state": "hold"}}
+    fake.audit = [moved | {"sequence": 400 - i, "at": "2026-11-21T09:14:58Z"} for i in range(200)]
+    fake.audit.append(zero | {"sequence": 9, "at": f"2026-11-21T09:{minute}:50Z"})
+    page = tab.open("hold")
+    page.click("#do-tables")
+    expect(page.locator("#table-trace tr")).to_have_count(seconds + 1)
 
 
 def test_the_value_under_the_pointer_is_reported_with_time_and_gate(breathing: Page):

@@ -1,6 +1,7 @@
 """The window is set on the patient's last minute: typed or dragged, with what it would have done."""
 
 import random
+import re
 from itertools import pairwise
 
 import pytest
@@ -245,6 +246,25 @@ def test_a_breath_hold_s_band_is_taken_from_the_breath_that_is_held(fake: FakeSe
     page.click("#window-held")
     expect(page.locator("#window-forecast")).to_contain_text("Hold the breath still for 2 s: it moved by 3.4 mm")
     expect(page.locator("#window-editor [name=lower]")).to_have_value("10")
+
+
+def test_a_breath_hold_is_not_armed_before_its_level_was_set(fake: FakeService, tab: Tab):
+    """Review U6: millimetres were asked for before a breath was seen."""
+    waits = breath_hold(lower=None, upper=None, hysteresis=None)
+    page = opened(fake, tab, DISARMED | {"window": window(waits), "signal_mm": 12.4})
+    expect(page.locator("#window-editor [name=lower]")).to_have_value("")
+    expect(page.locator("#window-forecast")).to_contain_text("let the patient hold a breath")
+    expect(page.locator("#window-apply")).to_be_disabled()
+    page.click("#window-cancel")
+    expect(page.locator("#do-arm")).to_have_attribute("title", re.compile("hold a breath"))
+    expect(page.locator("#steps [data-code=window]")).not_to_have_attribute("data-state", "done")
+    page.click("#do-window")
+    page.wait_for_timeout(2_500)  # of samples that stand still
+    page.click("#window-held")
+    page.click("#window-apply")
+    expect(page.locator("#outcome")).to_have_text("Window set.")
+    sent = windows(fake)[-1]["window"]
+    assert (sent["lower_mm"], sent["upper_mm"]) == (10.9, 13.9)
 
 
 def test_other_windows_take_no_band_from_a_held_breath(fake: FakeService, tab: Tab):

@@ -60,11 +60,11 @@ def fields(page: Page, place: int = 0) -> set[str]:
         ({"signal": "named"}, {"name", "lower_mm", "upper_mm", "hysteresis_mm"}),
         (
             {"kind": "breath_hold"},
-            {"lower_mm", "upper_mm", "hysteresis_mm", "hold", "settle_ms", "still_mm", "max_drift_mm", "timeout_s"},
+            {"lower_mm", "upper_mm", "hold", "settle_ms", "still_mm", "max_drift_mm", "timeout_s"},
         ),
         (
             {"kind": "breath_hold", "signal": "volume"},
-            {"lower_l", "upper_l", "hysteresis_l", "hold", "settle_ms", "still_l", "max_drift_l", "timeout_s"},
+            {"lower_l", "upper_l", "hold", "settle_ms", "still_l", "max_drift_l", "timeout_s"},
         ),
         ({"kind": "phase"}, {"from_percent", "to_percent", "min_confidence"}),
     ],
@@ -78,6 +78,8 @@ def test_only_the_fields_of_the_kind_and_signal_are_asked_and_the_service_takes_
     assert fields(form) == {"kind", "signal"} | shown
     if chosen.get("kind") == "breath_hold":
         hold_between(form, "window")
+        shown = shown | {"hysteresis_l" if "lower_l" in shown else "hysteresis_mm"}
+        assert fields(form) == {"kind", "signal"} | shown
     if "name" in shown:
         form.fill("[name='window.name']", "belly")
     window = sent(fake, form)["window"]
@@ -94,7 +96,13 @@ def test_edges_can_be_reported_in_per_cent_of_the_learned_range(fake: FakeServic
     assert not {name for name in window if name.endswith(("_mm", "_l"))}
 
 
-def test_a_breath_hold_is_created_with_the_edges_of_a_held_breath_and_no_others(fake: FakeService, form: Page):
+def test_a_breath_hold_is_created_without_edges_before_a_breath_was_held(fake: FakeService, form: Page):
+    choose(form, "kind", "breath_hold")
+    window = sent(fake, form)["window"]
+    assert not {name for name in window if name.startswith(("lower", "upper", "hysteresis"))}
+
+
+def test_a_breath_hold_is_created_with_both_edges_and_no_others(fake: FakeService, form: Page):
     """Review N1: the end of exhale's edges were offered, and the beam was on in the pauses of free breathing."""
     lower = form.locator("[name='window.lower_mm']")
     choose(form, "kind", "breath_hold")

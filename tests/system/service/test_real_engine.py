@@ -63,7 +63,7 @@ def test_a_recording_is_learned_gated_recorded_and_audited(real_client, regular_
     assert "beam_on" in states
     assert states[-1] != "beam_on"
     _check_samples(client, session_id, detail["summary"]["frames"])
-    (model,) = client.get(f"/api/v1/sessions/{session_id}/models").json()["items"]
+    model, *_ = client.get(f"/api/v1/sessions/{session_id}/models").json()["items"]
     share = client.get(f"/api/v1/models/{model['id']}/spectrum").json()["share"]
     assert share[0] > 0.8
     assert sum(share) == pytest.approx(1.0)

@@ -27,7 +27,7 @@ from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 from service.web.app import create_app
 from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
-from tests.support.service.accounts import PeopleClient
+from tests.support.service.accounts import PASSWORD, PeopleClient, QuickHashing
 from tests.support.service.api_calls import audit_rows
 
 pytestmark = pytest.mark.long
@@ -47,6 +47,7 @@ def played(tmp_path_factory, regular_volunteer) -> Played:
 def client(played):
     settings = Settings(data_dir=played.data_dir, allowed_hosts=("testserver",))
     with PeopleClient(create_app(settings)) as client:
+        client.desk.logins._hashing = QuickHashing()
         yield client
 
 
@@ -149,7 +150,7 @@ def test_holds_breathing_and_frames_are_those_of_the_samples(client, samples, st
 
 
 def test_it_says_who_did_what_and_what_is_to_be_looked_at(stated):
-    acts = [row[2] for row in stated["Who did what (UTC)"][1:]]
+    acts = [row[2] for row in stated["Who did what"][1:]]
     assert acts[0] == "created"
     assert {"started", "reference set", "armed"} <= {one.partition(" (")[0] for one in acts}
     assert ["the beam line was simulated"] in stated["To be looked at"]
@@ -189,15 +190,18 @@ def test_latencies_are_counted_in_steps_of_5_ms(client, played, samples):
 
 def sign(client, played, name, **changes):
     shown = export(client, played, "report").json()
-    body = {"operator": name, "note": "", "content_sha256": shown["content_sha256"]} | changes
+    body = {"operator": name, "content_sha256": shown["content_sha256"]} | changes
+    if "note" in body:
+        return client.post(f"/api/v1/sessions/{played.session_id}/note", json=body)
+    body = {"meaning": "checked", "password": PASSWORD} | body
     return client.post(f"/api/v1/sessions/{played.session_id}/signature", json=body)
 
 
 def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, played):
     refused = sign(client, played, "A. Physicist", content_sha256="00" * 32)
     assert (refused.status_code, refused.json()["field"]) == (409, "content_sha256")
-    assert sign(client, played, "A. Physicist", is_signed=False).status_code == 422, "a note has a text"
-    noted = sign(client, played, "A. Physicist", is_signed=False, note="two coughs")
+    assert sign(client, played, "A. Physicist", note="").status_code == 422, "a note has a text"
+    noted = sign(client, played, "A. Physicist", note="two coughs")
     assert [(one["is_signed"], one["note"]) for one in noted.json()["signatures"]] == [(False, "two coughs")]
     before = export(client, played, "report.pdf").content
     signed = sign(client, played, "A. Physicist").json()
@@ -208,17 +212,29 @@ def test_a_report_is_signed_once_by_each_person_as_it_was_looked_at(client, play
     assert export(client, played, "report.pdf").content != before
     page = export(client, played, "report.html").text
     assert "two coughs" in page
-    assert page.count("signed 20") == 2
-    texts = [
-        one["text"] for one in export(client, played, "report").json()["events"] if one["action"] == "session.signature"
-    ]
-    assert [text.startswith("note added to the report") for text in texts if "refused" not in text] == [
-        True,
-        False,
-        False,
-    ]
-    outcomes = [row["outcome"] for row in audit_rows(client, "session.signature")]
-    assert sorted(outcomes) == ["done"] * 3 + ["refused"] * 3
+    assert page.count("signed as checked 20") == 2
+    events = export(client, played, "report").json()["events"]
+    texts = [one["text"] for one in events if one["action"] in {"session.note", "session.signature"}]
+    done = ["note added to the report", "report signed (checked)", "report signed (checked)"]
+    assert [text for text in texts if "refused" not in text] == done
+    outcomes = [(row["action"], row["outcome"]) for row in audit_rows(client)]
+    assert [outcomes.count((action, "done")) for action in ("session.note", "session.signature")] == [1, 2]
+    assert outcomes.count(("session.signature", "refused")) == 2
+
+
+def test_a_signature_needs_the_persons_own_password_and_a_meaning(client, played):
+    assert sign(client, played, "G. Physicist", meaning="seen").status_code == 422
+    for wrong in ({"password": "another one"}, {"password": None}):
+        refused = sign(client, played, "G. Physicist", **wrong)
+        assert (refused.status_code, refused.json()["code"]) == (422, "signer_unconfirmed")
+        assert "another one" not in refused.text
+    assert not any(one["name"] == "G. Physicist" for one in export(client, played, "report").json()["signatures"])
+    signed = sign(client, played, "G. Physicist", meaning="approved").json()["signatures"][-1]
+    assert (signed["name"], signed["is_signed"], signed["meaning"]) == ("G. Physicist", True, "approved")
+    row = audit_rows(client, "session.signature")[-1]
+    assert (row["detail"]["meaning"], row["detail"]["confirmed_by"]) == ("approved", "password")
+    assert "password" not in row["detail"]
+    assert 429 in [sign(client, played, "H. Physicist", password="guessed").status_code for _ in range(8)]
 
 
 def test_of_two_signatures_of_one_person_at_once_one_is_refused(client, played):
@@ -312,7 +328,8 @@ def test_the_windows_are_the_prescribed_one_and_each_later_one_with_who_and_when
     assert first["text"] == f"as prescribed: {window_text(Window.model_validate(created['detail']['window']))}"
     acts = [row for name in ("window", "baseline_correction") for row in audit_rows(client, f"session.{name}")]
     assert len(later) == len([row for row in acts if row["outcome"] == "done"])
-    rows = [row for row in stated["Session"] if row[0].startswith("window, ")]
+    session = next(rows for title, rows in stated.items() if title.startswith("Session ("))
+    rows = [row for row in session if row[0].startswith("window, ")]
     assert [row[1].split(" (")[0] for row in rows] == [one["text"] for one in report["windows"]]
 
 
@@ -365,10 +382,12 @@ def test_where_the_site_asks_for_two_one_of_them_has_not_armed(played):
     with tempfile.TemporaryDirectory() as folder:
         data_dir = shutil.copytree(played.data_dir, f"{folder}/data")
         place = Settings(data_dir=Path(data_dir)).database_place
-        settings = Settings(data_dir=Path(data_dir), allowed_hosts=("testserver",), countersignature=True)
+        settings = Settings(data_dir=Path(data_dir), allowed_hosts=("testserver",), countersignature=True, room="Later")
         with PeopleClient(create_app(settings)) as client:
+            client.desk.logins._hashing = QuickHashing()
             report = export(client, played, "report").json()
             assert report["signatures_needed"] == 2
+            assert report["head"]["room"] == "", "as it was when the session was created"
             armed = {one["actor"] for one in report["events"] if one["action"] == "session.arm"}
             (armer,) = armed
             AuditLog(Database(place)).write(
@@ -376,3 +395,4 @@ def test_where_the_site_asks_for_two_one_of_them_has_not_armed(played):
             )
             assert [sign(client, played, name).status_code for name in (armer, "E. Therapist")] == [200, 409]
             assert sign(client, played, "F. Physicist").status_code == 200
+            assert client.get("/api/v1/sessions").json()["items"][0]["signed_by"][-1] == "F. Physicist"

@@ -82,6 +82,7 @@ const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}
 
 const searched = (limit, search, cursor = null) => new URLSearchParams({ limit, ...(search === "" ? {} : { search }), ...(cursor === null ? {} : { cursor }) });
 export const listSessions = (limit, search = "", cursor = null) => call("GET", `/sessions?${searched(limit, search, cursor)}`);
+export const findSessions = (wanted) => call("GET", `/sessions?${new URLSearchParams(wanted)}`);
 export const readSession = (id) => call("GET", session(id));
 /** Id of the session that runs, for a page that has not seen one yet; an error where none does. */
 export async function runningId() {
@@ -108,8 +109,10 @@ export const readReport = (id) => call("GET", `${session(id)}/report`);
 export const readTrace = (id, part) => call("GET", `${session(id)}/trace?${new URLSearchParams(part)}`);
 export const readMoment = (id, atS) => call("GET", `${session(id)}/moment?${new URLSearchParams({ at_s: atS.toFixed(3) })}`);
 /** `content` is the hash of the report that the person looked at. */
-export const signReport = (id, operator, isSigned, note, content) =>
-  call("POST", `${session(id)}/signature`, { operator, is_signed: isSigned, note, content_sha256: content });
+export const noteReport = (id, operator, note, content) => call("POST", `${session(id)}/note`, { operator, note, content_sha256: content });
+/** @param {string|null} password null of people of an identity provider */
+export const signReport = (id, operator, { meaning, password, note, content }) =>
+  call("POST", `${session(id)}/signature`, { operator, meaning, password, note, content_sha256: content });
 export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
 export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

@@ -20,6 +20,7 @@ import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
 import { needsReference, renderLearning } from "./panels/training.js";
 import { renderLamps } from "./panels/lamps.js";
+import { readHistory } from "./stream/history.js";
 import { LiveStream } from "./stream/live_stream.js";
 import { LogIn } from "./people/login.js";
 import { ModelQuality } from "./panels/model_quality.js";
@@ -30,7 +31,6 @@ import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
 import { KeyList } from "./panels/key_list.js";
 import { Summary, isOver } from "./panels/summary.js";
-import { addressed } from "./panels/review.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
 import { SoundPanel } from "./sounds/sound_panel.js";
@@ -64,9 +64,6 @@ const byId = (id) => document.getElementById(id);
 const liveUrl = new URL("/api/v1/live", window.location.href);
 liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
 
-/** The past session that the page was opened for, read before anything changes the address. */
-const linked = addressed();
-
 const access = new Access(() => followAccess());
 const stream = new LiveStream(liveUrl, receive, () => access.ask());
 const gate = new GatePanel(byId("gate"));
@@ -82,7 +79,7 @@ const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const tables = new DataTables(trace);
 const quality = new ModelQuality();
-const setup = new Setup(access, select, openPast);
+const setup = new Setup(access, select);
 const summary = new Summary(access, select, uncoverReport);
 const keyList = new KeyList();
 const logIn = new LogIn(access);
@@ -100,10 +97,14 @@ const mismatch = new MismatchWatch();
 let session = null;
 let shownSessionId = null;
 let lastGate = "";
+/** The session whose history was fetched. */
+let historyOf = null;
 /** When this page saw the gate go to its present state [ms]; null where it was in it before. */
 let beganMs = null;
 let drawn = { trace: -Infinity, panels: -Infinity };
 let hasLooked = false;
+const LATE = new Set(["stale", "offline"]);
+let laidOut = null;
 let isSimulatedBeam = false;
 let asking = 0;
 let nextLookMs = 0;
@@ -119,6 +120,7 @@ function followAccess() {
   setText(byId("person-name"), access.person?.name ?? "");
   setText(byId("person-roles"), rolesText(access.person?.roles ?? []));
   byId("do-account").title = access.person === null ? "" : tr("main.change_your_password", { name: access.person.name, value: rolesText(access.person.roles) });
+  byId("technical").dataset.own = access.person?.roles.includes("physicist") ? "yes" : "no";
   byId("badge-glass").hidden = access.person?.is_break_glass !== true;
   if (access.may("watch")) watch();
   else leave();
@@ -136,6 +138,7 @@ function leave() {
   session = null;
   shownSessionId = null;
   lastGate = "";
+  historyOf = null;
   beganMs = null;
   hasLooked = false;
   labelled = { key: null, nextMs: 0 };
@@ -176,15 +179,6 @@ function forgetSession() {
   events.follow(null);
 }
 
-/** Show a session of the past, unless one runs: nothing of another patient lies beside a patient who is treated. */
-function openPast(past) {
-  const isIdle = stream.message?.type === "idle" && present(stream, performance.now()).kind === "idle";
-  if (!isIdle) return tr("setup.past_not_now");
-  setup.show(false);
-  summary.open(past, true);
-  return "";
-}
-
 /** A log-out may hold the beam: while the gate is armed the first click asks for confirmation. */
 async function logOut() {
   const button = byId("do-log-out");
@@ -206,6 +200,7 @@ async function logOut() {
 function receive(message, nowMs) {
   if (message.type !== "sample") return;
   trace.add(message, nowMs);
+  fetchHistory(message);
   picture.add(message);
   const gateNow = `${message.gate} ${message.hold_reason}`;
   if (gateNow !== lastGate) {
@@ -214,6 +209,14 @@ function receive(message, nowMs) {
     nextDescribeMs = Math.min(nextDescribeMs, nowMs + SOON_MS);
   }
   lastGate = gateNow;
+}
+
+/** Fetch what was recorded before this page was opened, once for each session. */
+async function fetchHistory(message) {
+  if (message.session_id === historyOf || message.state !== "measuring" || !access.may("events")) return;
+  historyOf = message.session_id;
+  const messages = await readHistory(liveUrl, message).catch(() => []);
+  trace.putBefore(message.session_id, messages);
 }
 
 function select(chosen) {
@@ -255,11 +258,6 @@ async function lookForSession() {
     return;
   }
   if (!access.may("watch")) return;
-  if (isFirstLook && linked !== null && !items.some((one) => one.status === "running" || one.status === "created")) {
-    setup.show(false);
-    summary.open(linked, true, linked.range);
-    return;
-  }
   const [newest] = items;
   if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
   else if (newest !== undefined && newest.id === shownSessionId) session = newest;
@@ -270,7 +268,7 @@ async function lookForSession() {
 }
 
 function follow(view, sample, nowMs) {
-  document.body.dataset.armed = sample?.is_armed ? "yes" : "no";
+  document.body.dataset.armed = (sample ?? laidOut)?.is_armed ? "yes" : "no";
   if (sample !== null && sample.session_id !== shownSessionId) {
     if (shownSessionId !== null) forgetSession();
     shownSessionId = sample.session_id;
@@ -363,8 +361,10 @@ function render() {
   setText(byId("figure-line"), lineText(sample));
   renderLamps(sample);
   const running = sample?.session_status === "running" ? sample : null;
+  // While the picture is late, what is shown keeps its place: that is laid out by the newest sample that was fresh.
+  laidOut = running ?? (LATE.has(view.kind) ? laidOut : null);
   follow(view, sample, nowMs);
-  controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null, isWindowEdited: windowEditor.isChanged });
+  controls.update({ kind: view.kind, sample: running, laidOut, selected: session, person: access.state === "in" ? access.person : null, isWindowEdited: windowEditor.isChanged });
   arming.update(view.isCurrent ? running : null, view.kind === "idle", nowMs);
   if (view.isCurrent) windowEditor.update(running, session, controls.forbids("window"), nowMs);
   else windowEditor.wait(controls.forbids("window"));
@@ -420,7 +420,7 @@ function drawPanels(nowMs, view, sample) {
   renderCamera(session?.camera);
   renderBody(sample?.body_warning ?? session?.body?.warning);
   renderLikeness(sample, session?.likeness);
-  renderLearning(sample, session, view.isFresh);
+  renderLearning(sample ?? laidOut, session, view.isFresh);
   steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session, isWindowEdited: windowEditor.isChanged });
   renderWho(view);
   renderTraceValue(sample);

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from engine.core.breath import Breath, BreathEvent, BreathEventKind
+from engine.core.breath import WHOLE, Breath, BreathEvent, BreathEventKind
 from engine.core.commands import Arm, Disarm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
-from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow
+from engine.core.signals import LearnedRange
+from engine.gating.windows import LEVEL_NOT_SET, AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict
 from tests.support.gating.bad_frames import HOLDS
 from tests.support.gating.streams import A_BREATH_FRAMES, LIMITS, Stream, motion_of, unmeasured
@@ -343,6 +344,18 @@ def test_a_level_in_per_cent_waits_for_the_range_not_for_a_breath():
     window = replace(WINDOW, level=AmplitudeWindow(lower=60.0, upper=90.0, unit="percent"))
     seen = WindowInput(motion=motion_of(21.0), breaths=(), timestamp_us=FIRST_US)
     assert window.judge(seen, (ConditionState(),)).reason is HoldReason.RANGE_UNKNOWN
+
+
+def test_a_level_that_is_not_set_is_met_by_no_signal_and_by_no_range():
+    unset = replace(WINDOW, level=AmplitudeWindow(lower=0.0, upper=100.0, unit="percent"), is_level_set=False)
+    learned = {WHOLE: LearnedRange(low=0.0, high=21.0)}
+    assert unset.resolved(learned) == unset
+    assert unset.needs_ranges
+    found = unset.judge(WindowInput(motion=motion_of(10.0), breaths=(), timestamp_us=FIRST_US), (ConditionState(),))
+    assert (found.is_inside, found.reason) == (False, HoldReason.RANGE_UNKNOWN)
+    assert found.detail == LEVEL_NOT_SET
+    with pytest.raises(InvalidValueError, match="true for a level in mm"):
+        replace(WINDOW, is_level_set=False)
 
 
 APNOEA = (

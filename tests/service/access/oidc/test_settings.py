@@ -69,8 +69,6 @@ def test_a_group_may_hold_an_equals_sign(oidc):
         ({"oidc_scopes": "profile"}, "must hold openid"),
         ({"oidc_label": "a\nb"}, "printable"),
         ({"oidc_max_clock_skew_s": 301}, "300"),
-        ({"oidc_timeout_s": 0.0}, "0.5"),
-        ({"oidc_max_key_age_h": 169.0}, "168"),
         ({"oidc_local_accounts": "some"}, "break-glass"),
     ],
     ids=str,

@@ -39,7 +39,7 @@ def test_the_file_s_values_are_the_settings_and_a_variable_counts_more(site, mon
         [web]
         allowed_hosts = ["a.example", "b.example"]
         [training]
-        components = 4
+        min_cycles = 4
         [oidc]
         issuer = "https://provider.example"
         machine_audience = "gating"
@@ -48,7 +48,7 @@ def test_the_file_s_values_are_the_settings_and_a_variable_counts_more(site, mon
     )
     monkeypatch.setenv("TIDEGATE_LEASE_MS", "90")
     found = load_settings()
-    assert (found.max_jump_mm, found.lease_ms, found.training.components) == (5.0, 90.0, 4)
+    assert (found.max_jump_mm, found.lease_ms, found.training.min_cycles) == (5.0, 90.0, 4)
     assert found.allowed_hosts == ("a.example", "b.example")
     assert len(found.holding_events) == 1
     assert list(found.permissions_of_scope) == ["gating.read"]
@@ -61,6 +61,7 @@ def test_the_file_s_values_are_the_settings_and_a_variable_counts_more(site, mon
         ("[gate]\nmax_gpa_ms = 3", r"gate.max_gpa_ms is not a setting of Tidegate: perhaps gate.max_gap_ms"),
         ("[gate]\nport = 3", "gate.port is not a setting of Tidegate: perhaps web.port"),
         ("[http]\nheader_s = 10", "http.header_s .*: limits of connections are no settings any more: remove"),
+        ("[training]\ncomponents = 4", "training.components .*: it is a constant now: remove the line"),
         ("[qa]\ncamera_distance_warn = 2", "qa.camera_distance_warn .*perhaps .*qa.camera_distance_mm_warn"),
         ("[qa]\nplate_noise_mm_warn = true", "qa.plate_noise_mm_warn is true: must be no truth value"),
         ("[qa]\nbounds_chosen = {}", "qa.bounds_chosen is not a setting"),

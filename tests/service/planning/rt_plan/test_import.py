@@ -10,6 +10,7 @@ import pytest
 
 from service.core.settings.settings import Settings
 from service.web.app import create_app
+from service.web.middleware.requests import MAX_BODY_BYTES, MAX_PLAN_BYTES
 from tests.support.planning.api_calls import DICOM, URL, kept, send
 from tests.support.planning.dicom_plans import PATIENT_NAME, SYNTAXES, UID, group, ion_plan, photon_plan, written
 from tests.support.service.accounts import PeopleClient
@@ -119,23 +120,23 @@ def test_what_is_refused_is_audited_and_leaves_nothing(client, settings):
     assert {path for path in settings.data_dir.rglob("*") if path.is_file()} == before
 
 
-def test_a_file_larger_than_the_bound_is_refused_by_its_length_alone(client, settings):
-    answer = send(client, b"x", **{"Content-Length": str(settings.max_plan_bytes + 1)})
+def test_a_file_larger_than_the_bound_is_refused_by_its_length_alone(client):
+    answer = send(client, b"x", **{"Content-Length": str(MAX_PLAN_BYTES + 1)})
     assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
-    assert str(settings.max_plan_bytes) in answer.json()["bound"]
+    assert str(MAX_PLAN_BYTES) in answer.json()["bound"]
 
 
-def test_a_stream_of_unknown_length_is_cut_off_at_the_bound(client, settings):
+def test_a_stream_of_unknown_length_is_cut_off_at_the_bound(client):
     def endless():
-        for _ in range(settings.max_plan_bytes // 65_536 + 2):
+        for _ in range(MAX_PLAN_BYTES // 65_536 + 2):
             yield b" " * 65_536
 
     answer = send(client, endless())
     assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
 
 
-def test_only_plans_may_be_as_large_as_plans(client, settings):
-    body = b" " * (settings.max_body_bytes + 1)
+def test_only_plans_may_be_as_large_as_plans(client):
+    body = b" " * (MAX_BODY_BYTES + 1)
     assert send(client, body).status_code == 422
     for path in ("/api/v1/calibrations", f"{URL}/{'0' * 32}/sessions", f"{URL}/"):
         answer = client.post(path, content=body, headers={"Content-Type": "application/json"})

@@ -1,13 +1,15 @@
 """Figures of a report from samples that were made up: what each is of, and what is left out."""
 
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
 
+from service.core.schemas.reports import ReportEvent, ReportWindow
 from service.sessions.report.figures import read_columns, report_figures
 from service.sessions.report.pages import _breathing
-from service.sessions.report.picture import COLUMNS, trace_svg
+from service.sessions.report.picture import COLUMNS, LEFT, trace_svg
 from service.storage.samples.layout import SampleHead
 
 SCHEMA = SampleHead(session_id="0" * 32).schema
@@ -20,7 +22,8 @@ def rows(gates, *, step_ns=PERIOD_NS, **columns):
     plain = {"timestamp_us": 0, "missed_frames": 0, "state": "measuring", "line_on": False, "received_ns": 0}
     plain |= {"asserted_ns": 1_000_000, "captured_ns": 0} | columns
     made = {name: value if isinstance(value, list) else [value] * n for name, value in plain.items()}
-    made |= {"frame_index": list(range(n)), "gate": list(gates), "decided_ns": [step_ns * i for i in range(n)]}
+    made |= {"frame_index": list(range(n)), "gate": list(gates)}
+    made.setdefault("decided_ns", [step_ns * i for i in range(n)])
     made.setdefault("hold_reason", [None if gate == "beam_on" else "outside_window" for gate in gates])
     return pa.RecordBatch.from_arrays(
         [pa.array(made.get(field.name, [None] * n), field.type) for field in SCHEMA], schema=SCHEMA
@@ -32,7 +35,10 @@ def figures(*batches):
 
 
 def test_a_pulse_goes_on_over_the_end_of_a_batch_and_a_gap_counts_a_second_at_most():
-    found = figures(rows(["hold", "beam_on"], step_ns=10**8), rows(["beam_on", "hold"], step_ns=10**8))
+    later = rows(["beam_on", "hold"], decided_ns=[2 * 10**8, 3 * 10**8], signal_mm=[1.5, None])
+    found = figures(rows(["hold", "beam_on"], step_ns=10**8, signal_mm=1.0), later)
+    (pulse,) = found.pulse_list
+    assert (pulse.from_s, pulse.to_s, pulse.seconds, pulse.spread) == (0.1, 0.3, 0.2, 0.5)
     assert found.pulses == 1
     gap = figures(rows(["beam_on", "beam_on", "disarmed"], step_ns=5 * 10**9))
     assert (gap.beam_on_s, gap.recorded_s) == (2.0, 2.0)
@@ -73,15 +79,38 @@ def test_a_session_without_samples_has_no_figures_and_no_picture():
     assert trace_svg(read_columns([])[0]) == ""
 
 
-def test_a_long_trace_is_drawn_by_the_least_and_the_most_of_each_column():
+def line_of(picture):
+    """The steps of the signal's line: it alone has no dashes and many points."""
+    return max((one.partition('"')[0] for one in picture.split('d="')[1:]), key=len)
+
+
+def test_a_long_trace_is_one_line_through_the_least_and_the_most_of_each_column():
     n = 20 * COLUMNS
     spike = [0.0] * n
     spike[7777] = 9.0
     columns, _ = read_columns([rows(["hold"] * n, signal_mm=spike)])
     picture = trace_svg(columns)
-    assert picture.count("V") == COLUMNS
-    tops = {one.partition("V")[2] for one in picture.partition('d="')[2].partition('"')[0].split(" M")}
-    assert len(tops) == 2, "one column reaches up to the spike"
+    line = line_of(picture)
+    assert line.count("M") == 1, "one line, without gaps"
+    heights = [float(one.split()[1]) for one in line[1:].split(" L")]
+    assert len(heights) <= 4 * COLUMNS
+    assert sum(one < max(heights) for one in heights) == 1, "one point reaches up to the spike"
+
+
+def test_a_gap_of_the_samples_is_a_gap_of_the_line_and_the_window_ends_where_another_begins():
+    begin = datetime(2026, 11, 21, 9, 0, tzinfo=UTC)
+    windows = [
+        ReportWindow(at=begin, actor="A", text="", reason="", lower=-1.0, upper=3.0),
+        ReportWindow(at=begin + timedelta(seconds=2), actor="A", text="", reason="", lower=0.0, upper=4.0),
+    ]
+    event = ReportEvent(at=begin + timedelta(seconds=2), actor="A", action="session.window", text="window set")
+    times_ns = [0, 5 * 10**8, 10**9, 35 * 10**8, 4 * 10**9]
+    columns, _ = read_columns([rows(["hold"] * 5, signal_mm=[1.0, 2.0, 1.0, 2.0, 1.0], decided_ns=times_ns)])
+    picture = trace_svg(columns, windows, [event], begin)
+    assert line_of(picture).count("M") == 2
+    middle = f"{LEFT + COLUMNS / 2:.1f}"
+    assert picture.count(f"H{middle}") == picture.count(f'd="M{middle}') - 1 == 2, "two edges end, two begin, one mark"
+    assert ">mm<" in picture
 
 
 @pytest.mark.parametrize(("signal", "unit"), [("volume", "l"), ("whole", "mm")])

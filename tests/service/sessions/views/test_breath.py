@@ -48,6 +48,14 @@ def test_events_say_since_when_they_are_under_way():
     assert (reported.kind, reported.since_s, reported.confidence, reported.detail) == ("apnoea", 2.5, 0.81, "x")
 
 
+def test_a_breath_that_is_held_as_prescribed_is_no_sigh_and_no_apnoea():
+    events = tuple(BreathEvent(kind=kind, start_us=0, confidence=1.0, detail="x") for kind in BreathEventKind)
+    held = live_breath(view_of(window=HOLD, breaths=(Breath(events=events),)))
+    assert {one.kind for one in held.events} == {"cough", "talking", "drift"}
+    free = live_breath(view_of(breaths=(Breath(events=events),)))
+    assert len(free.events) == len(BreathEventKind)
+
+
 def test_a_breath_hold_reports_its_stage_its_seconds_and_how_many_there_were():
     at_us = 30 * 33_370
     state = ConditionState(stage=HoldStage.HELD, since_us=at_us - 4_250_000, holds=3)

@@ -34,7 +34,7 @@ def test_a_start_states_its_software_its_settings_and_their_hash(supervised):
     supervised.run()
     (start,) = supervised.rows("service.start")
     assert start["version"] == "1.2.3"
-    assert start["settings"]["audit_clock_jump_ms"] == 500.0
+    assert start["settings"]["audit_log_max_mb"] == 10
     assert start["settings_sha256"] == settings_sha256(start["settings"])
     assert start["anchors"] is None
 

@@ -192,8 +192,8 @@ def test_the_state_is_read_before_the_tag_is_compared(client, session_id, measur
 
 
 def test_in_clinical_mode_an_arming_names_what_was_looked_at(client, session_id, measuring, monkeypatch):
-    runner = client.app.state.services.runner
-    monkeypatch.setattr(runner, "_settings", clinical_settings())
+    commands = client.app.state.services.runner.commands
+    monkeypatch.setattr(commands, "_settings", clinical_settings())
     before = len(measuring.commands)
     refused = arm(client, session_id)
     problem = refused.json()
@@ -230,8 +230,8 @@ def test_the_site_s_bounds_hold_for_it_and_a_refused_one_is_audited(client, sess
     [({"min_dwell_ms": 300.0}, "window.dwell_ms"), ({"window_upper_mm": 1.0}, "window.upper_mm")],
 )
 def test_a_site_that_is_narrower_refuses_it_by_field(client, session_id, measuring, settings, site, field):
-    runner = client.app.state.services.runner
-    runner._window_setting = replace(runner._window_setting, settings=settings.model_copy(update=site))
+    commands = client.app.state.services.runner.commands
+    commands._window_setting = replace(commands._window_setting, settings=settings.model_copy(update=site))
     answer = set_window(client, session_id)
     assert (answer.status_code, answer.json()["field"]) == (422, field)
     assert audit_rows(client, "session.window")[-1]["outcome"] == "refused"

@@ -1,10 +1,15 @@
 """A second person countersigns what would be armed: from an own log-in, or with name and password at another's page."""
 
+from dataclasses import replace
+from datetime import timedelta
+
 import pytest
 
 from engine.control.arming import CountersignatureState
 from engine.core.commands import Countersign
 from engine.core.errors import CountersignatureError
+from service.access.request.identity import Identity
+from service.core.errors import SignerError
 from service.core.permissions import Role
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
@@ -118,3 +123,14 @@ def test_what_the_engine_refuses_is_refused_by_code(client, session_id, measurin
 def test_it_is_the_rule_in_clinical_mode_and_where_a_site_wants_it(settings, is_needed):
     window = Window(signal="whole", lower_mm=-1.0, upper_mm=3.0, dwell_ms=250.0)
     assert gate_limits(window, settings).needs_countersignature is is_needed
+
+
+def test_a_person_of_a_provider_signs_with_a_log_in_of_the_last_five_minutes(client):
+    opened = open_login(client.desk.store, "O. Outside")
+    user = replace(opened.user, issuer="https://provider.example", subject="1", password_hash=None)
+    client.desk.store.write(save=[user])
+    identity = Identity(kind="oidc", name="O. Outside", permissions=frozenset(), anchor=opened.login.token_sha256)
+    assert client.desk.confirm_signer(identity, None, "127.0.0.1") == "login"
+    client.desk.store.write(save=[replace(opened.login, created_at=opened.login.created_at - timedelta(minutes=6))])
+    with pytest.raises(SignerError, match="log out and in again"):
+        client.desk.confirm_signer(identity, None, "127.0.0.1")

@@ -36,7 +36,7 @@ def test_moment_level_and_reason_reach_the_engine_and_the_audit(client, session_
 
 
 def test_in_clinical_mode_a_person_confirms_stickers_and_chest_once_a_session(client, session_id, running, monkeypatch):
-    monkeypatch.setattr(client.app.state.services.runner, "_settings", clinical_settings())
+    monkeypatch.setattr(client.app.state.services.runner.commands, "_settings", clinical_settings())
     refused = client.post(f"{URL}/{session_id}/reference", json=BODY)
     assert (refused.status_code, refused.json()["field"]) == (422, "setup_confirmed")
     assert running.commands == []

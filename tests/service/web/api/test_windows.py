@@ -94,6 +94,10 @@ TAKEN = [
             max_drift=0.1,
         ),
     ),
+    (
+        {"kind": "breath_hold"},
+        BreathHoldWindow(level=AmplitudeWindow(lower=0, upper=100, unit="percent"), is_level_set=False),
+    ),
     (PHASE, PhaseWindow(from_percent=30.0, to_percent=70.0)),
     (
         PHASE | {"from_percent": 90, "to_percent": 10, "min_confidence": 0.8, "signal": "abdomen"},
@@ -170,7 +174,8 @@ REFUSED = [
     (HOLD | {"still_l": 0.1}, "window.still_l"),
     (HOLD | {"hold": "both"}, "window.hold"),
     (HOLD | {"min_confidence": 0.5}, "window.min_confidence"),
-    ({"kind": "breath_hold"}, "window.lower_mm"),
+    ({"kind": "breath_hold", "hysteresis_mm": 0.2}, "window.lower_mm"),
+    ({"kind": "breath_hold", "upper_mm": 12.0}, "window.lower_mm"),
     (PHASE | MM, "window.lower_mm"),
     (PHASE | {"to_percent": 30}, "window.to_percent"),
     (PHASE | {"to_percent": 101}, "window.to_percent"),

@@ -15,6 +15,7 @@ POSTS = {
     "/api/v1/calibrations",
     "/api/v1/sessions",
     "/api/v1/sessions/{session_id}/start",
+    "/api/v1/sessions/{session_id}/note",
     "/api/v1/sessions/{session_id}/signature",
     "/api/v1/sessions/{session_id}/arm",
     "/api/v1/sessions/{session_id}/disarm",

@@ -8,6 +8,7 @@ import engine.core.errors
 import service.core.errors
 from engine.core.errors import TidegateError
 from service.web.app import create_app
+from service.web.middleware.requests import MAX_BODY_BYTES
 from service.web.problems.table import STATUS_OF, problem_of
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import audit_rows, make_calibration, upload
@@ -68,12 +69,12 @@ def test_a_body_that_is_no_json_is_refused(client, session_id, body):
     assert answer.headers["content-type"] == "application/problem+json"
 
 
-def test_a_body_of_any_call_is_bounded(client, session_body, settings):
-    session_body["plan_id"] = "x" * settings.max_body_bytes
+def test_a_body_of_any_call_is_bounded(client, session_body):
+    session_body["plan_id"] = "x" * MAX_BODY_BYTES
     answer = client.post("/api/v1/sessions", json=session_body)
     problem = answer.json()
     assert (answer.status_code, problem["code"], problem["field"]) == (413, "body_too_large", "body")
-    assert str(settings.max_body_bytes) in problem["bound"]
+    assert str(MAX_BODY_BYTES) in problem["bound"]
 
 
 @pytest.mark.parametrize("length", ["-1", "1e9", "abc", "9" * 30])

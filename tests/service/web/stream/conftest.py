@@ -9,7 +9,7 @@ from tests.support.stream.stream_server import Served, served
 
 @pytest.fixture(scope="package")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("stream"), live_stall_s=60.0, command_timeout_s=3.0) as one:
+    with served(tmp_path_factory.mktemp("stream")) as one:
         yield one
 
 

@@ -44,7 +44,7 @@ def process(tmp_path_factory):
 def service(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tls")
     cert, key = make_certificate(folder)
-    with served(folder, tls_cert=cert, tls_key=key, live_stall_s=60.0, command_timeout_s=3.0) as one:
+    with served(folder, tls_cert=cert, tls_key=key) as one:
         yield one
 
 
@@ -130,7 +130,7 @@ def test_a_stalled_client_over_tls_goes_on_with_the_newest_and_hinders_no_other(
 
 def test_clients_over_tls_that_never_read_are_cut_off(tmp_path):
     cert, key = make_certificate(tmp_path)
-    with served(tmp_path, tls_cert=cert, tls_key=key, live_stall_s=1.0, command_timeout_s=3.0) as service:
+    with served(tmp_path, tls_cert=cert, tls_key=key, stall_s=1.0) as service:
         session_id = service.begin_session()
         service.make_messages_big()
         stalled = [service.raw(path) for path in ("/api/v1/live", "/api/v1/live/events")]

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.waiting
 
 
 def test_clients_that_never_read_are_cut_off_and_the_others_stay_within_two_frames(tmp_path):
-    with served(tmp_path, live_stall_s=1.0, command_timeout_s=3.0) as service:
+    with served(tmp_path, stall_s=1.0) as service:
         session_id = service.begin_session()
         with service.watch("?form=thin") as healthy, service.watch() as healthy_too:
             stalled = [service.raw("/api/v1/live") for _ in range(6)]

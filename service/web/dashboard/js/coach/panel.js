@@ -138,8 +138,9 @@ export class CoachPanel {
 
   #row(screen) {
     const item = part("li", "");
-    const since = new Date(screen.paired_at).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
-    const text = part("span", tr("panel.screen_paired_by", { number: screen.number, since, paired_by: screen.paired_by }));
+    const clock = (at) => new Date(at).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+    // One whose browser was closed stays paired until it is ended: it shows when it last watched.
+    const text = part("span", tr("panel.screen_paired_by", { number: screen.number, since: clock(screen.paired_at), paired_by: screen.paired_by, seen: clock(screen.seen_at) }));
     const end = confirmButton(tr("panel.end"), tr("panel.confirm_end"), () => this.#run(async () => this.#showScreens((await endScreen(screen.id)).items)));
     end.setAttribute("aria-label", tr("panel.end_screen", { number: screen.number }));
     item.append(text, end);

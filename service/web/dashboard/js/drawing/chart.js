@@ -30,7 +30,7 @@ export class Chart {
    * @param {{below: (pen: Pen) => void, above: (pen: Pen) => void, times: (from: number, to: number) => {at: number, text: string}[],
    *   hasLabels: () => boolean,
    *   isJoined: (index: number) => boolean, onPress: () => boolean, onSelect: (from: number, to: number) => void, onRelease: () => void}} given
-   *   `onPress` returns false where the pointer is used for something else
+   *   `hasCursor: false` draws no line at the pointer; `onPress` returns false where the pointer is used for something else
    */
   constructor(host, colors, given) {
     Object.assign(this, { host, given, marks: [] });
@@ -113,7 +113,7 @@ export class Chart {
           values: (_, values, __, ___, step) => values.map((value) => (this.given.hasLabels() ? fixed(value, step < 0.1 ? 2 : step < 1 ? 1 : 0) : "")),
         },
       ],
-      cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 6 }, bind: this.#bindings() },
+      cursor: { x: this.given.hasCursor !== false, y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 6 }, bind: this.#bindings() },
       hooks: {
         drawAxes: [() => this.#with(this.given.below)],
         draw: [() => this.#with(this.given.above)],

@@ -3,13 +3,22 @@
 import { tr } from "../words/words.js";
 
 const STORED = "tidegate.theme";
-const THEMES = ["dark", "bright"];
+/** The first one is that of the workstation's own system. */
+const THEMES = ["system", "dark", "bright"];
+const ofSystem = window.matchMedia("(prefers-color-scheme: light)");
 const inks = new Map();
 
-apply(localStorage.getItem(STORED));
+apply();
+ofSystem.addEventListener("change", apply);
 
-function apply(theme) {
-  document.documentElement.dataset.theme = THEMES.includes(theme) ? theme : THEMES[0];
+function stored() {
+  const theme = localStorage.getItem(STORED);
+  return THEMES.includes(theme) ? theme : THEMES[0];
+}
+
+function apply() {
+  const theme = stored();
+  document.documentElement.dataset.theme = theme !== "system" ? theme : ofSystem.matches ? "bright" : "dark";
 }
 
 /** The colour of a variable of the page, in the present theme. */
@@ -26,11 +35,10 @@ export function palette(variables) {
 
 /** Fill a list with the themes; a choice is kept for this workstation and shown at once. */
 export function offerThemes(select) {
-  const { theme: now } = document.documentElement.dataset;
   select.setAttribute("aria-label", tr("theme.choose"));
-  select.append(...THEMES.map((theme) => new Option(tr(`theme.${theme}`), theme, false, theme === now)));
+  select.append(...THEMES.map((theme) => new Option(tr(`theme.${theme}`), theme, false, theme === stored())));
   select.addEventListener("change", () => {
     localStorage.setItem(STORED, select.value);
-    apply(select.value);
+    apply();
   });
 }

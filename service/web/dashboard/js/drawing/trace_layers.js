@@ -6,7 +6,7 @@ import { fixed } from "./numbers.js";
 import { tr } from "../words/words.js";
 
 export const COLORS = palette({
-  line: "--draw-gated", thorax: "--draw-thorax", abdomen: "--draw-abdomen", window: "--draw-window", inside: "--draw-inside",
+  line: "--draw-gated", window: "--draw-window", inside: "--draw-inside",
   proposal: "--draw-proposal", now: "--draw-now", reference: "--draw-reference", zero: "--draw-zero", before: "--draw-before",
 });
 const VARIABLES = { disarmed: "--disarmed", hold: "--hold-text", dwell: "--dwell", beam_on: "--on", fault: "--fault" };
@@ -150,6 +150,15 @@ export function drawProposal({ context, box, y }, { lower, upper, unit }) {
     context.textBaseline = baseline;
     context.fillText(`${fixed(edge, digits)} ${unit}`, box.x1 - 40, y(edge) + shift);
   }
+}
+
+/** A moment that is looked at, by its own time. */
+export function drawMoment({ context, box, x }, t) {
+  context.strokeStyle = COLORS.now;
+  context.lineWidth = 1;
+  context.setLineDash([4, 3]);
+  stroke(context, x(t), box.y0, x(t), box.y1);
+  context.setLineDash([]);
 }
 
 export function drawNow({ context, x, y }, t, value) {

@@ -2,9 +2,9 @@
 
 import { auditExportUrl, readAudit, verifyAudit } from "../api.js";
 import { part } from "../drawing/elements.js";
-import { localTime } from "../drawing/local_time.js";
+import { reason, sentence } from "../words/audit_rows.js";
 import { tr } from "../words/words.js";
-import { chosen, field, filled, form, link, pages, section, typed } from "./parts.js";
+import { between, chosen, field, filled, form, link, pages, section, timed, typed } from "./parts.js";
 
 const OUTCOMES = ["done", "requested", "refused", "failed"];
 const LIMIT = 50;
@@ -31,24 +31,16 @@ export function auditRoom({ root, ended }) {
 }
 
 function rows(list, ended, { since, until, ...wanted }) {
-  const columns = ["number", "time", "actor", "action", "outcome", "detail"].map((name) => ({ name: tr(`office.${name}`), isNumber: name === "number", isLong: name === "detail" }));
-  const times = { ...(since ? { since: day(since, 0) } : {}), ...(until ? { until: day(until, 1) } : {}) };
-  const read = (cursor) => readAudit({ ...wanted, ...times, limit: LIMIT, ...(cursor === null ? {} : { cursor }) });
-  const row = (one) => [String(one.sequence), localTime(one.at), one.actor, one.action, tr(`office.outcome.${one.outcome}`), detail(one.detail)];
+  const columns = ["number", "time", "actor", "outcome", "what"].map((name) => ({ name: tr(`office.${name}`), isNumber: name === "number", isLong: name === "what" }));
+  const read = (cursor) => readAudit({ ...wanted, ...between(since, until), limit: LIMIT, ...(cursor === null ? {} : { cursor }) });
+  const row = (one) => [String(one.sequence), timed(one.at), one.actor, tr(`office.outcome.${one.outcome}`), rowText(one)];
   pages(list, ended, columns, read, row, tr("office.no_rows"));
 }
 
-/** The beginning of a day of this screen's time, or of one later. */
-function day(date, later) {
-  const [year, month, number] = date.split("-").map(Number);
-  return new Date(year, month - 1, number + later).toISOString();
-}
-
-function detail(values) {
-  const text = Object.entries(values).map(([name, value]) => `${name}: ${typeof value === "string" ? value : JSON.stringify(value)}`).join(", ");
-  if (text.length < 90) return text;
+/** What happened, with the whole row for those who ask for it. */
+function rowText(entry) {
   const made = part("details", "");
-  made.append(part("summary", `${text.slice(0, 80)}…`), part("p", text));
+  made.append(part("summary", [sentence(entry), reason(entry)].filter(Boolean).join(": ")), part("p", `${entry.action} ${JSON.stringify(entry.detail)}`, "note"));
   return made;
 }
 

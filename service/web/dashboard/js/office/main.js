@@ -3,10 +3,10 @@
  * link leads to it. Nothing here touches a running session, and the console does not depend on this page.
  */
 
-import "../words/document.js";
-import { onRefusal, readMe } from "../api.js";
-import { byId, part, setText } from "../drawing/elements.js";
-import "../drawing/theme.js";
+import { offerLanguages } from "../words/document.js";
+import { logOut, onRefusal, readMe } from "../api.js";
+import { byId, confirmButton, part, setText } from "../drawing/elements.js";
+import { offerThemes } from "../drawing/theme.js";
 import { rolesText } from "../people/permissions.js";
 import { tr } from "../words/words.js";
 import { auditRoom } from "./audit.js";
@@ -16,6 +16,7 @@ import { modelsRoom } from "./models.js";
 import { peopleRoom } from "./people.js";
 import { plansRoom } from "./plans.js";
 import { qaRoom } from "./qa.js";
+import { reviewRoom } from "./review.js";
 import { sessionsRoom } from "./sessions.js";
 
 /** By the name in the address: the permission that a room needs, and what fills it. */
@@ -28,13 +29,22 @@ const ROOMS = {
   people: ["users.manage", peopleRoom],
   machine: ["audit.read", machineRoom],
   api: ["sessions.read", contractRoom],
+  session: ["sessions.read", reviewRoom],
 };
+/** A session is reached from the list of all, and has no place of its own beside it. */
+const PARENTS = { session: "sessions" };
 const ASK_MS = 20_000;
 
 let person = null;
 let isLocked = false;
 /** Ends what the room that is shown still does, such as asking for the progress of a run. */
 let leave = () => {};
+
+/** The log-in is the console's too: a gate that this person has armed there is held. */
+const leaving = confirmButton(tr("main.log_out"), tr("main.confirm_may_hold"), () => logOut().finally(look));
+byId("who").after(leaving);
+offerLanguages(byId("language"));
+offerThemes(byId("theme"));
 
 function permitted() {
   return Object.keys(ROOMS).filter((name) => person.permissions.includes(ROOMS[name][0]));
@@ -46,10 +56,10 @@ function show() {
   const names = permitted();
   const wanted = window.location.hash.slice(1).split("/")[0];
   const name = names.includes(wanted) ? wanted : names[0];
-  byId("rooms").replaceChildren(...names.map((one) => {
+  byId("rooms").replaceChildren(...names.filter((one) => !(one in PARENTS)).map((one) => {
     const link = part("a", tr(`office.${one}`));
     link.href = `#${one}`;
-    if (one === name) link.setAttribute("aria-current", "page");
+    if (one === (PARENTS[name] ?? name)) link.setAttribute("aria-current", "page");
     return link;
   }));
   if (name === undefined) {
@@ -72,6 +82,7 @@ async function look() {
     const isNew = JSON.stringify(found) !== JSON.stringify(person);
     person = found;
     isLocked = false;
+    leaving.hidden = false;
     setText(byId("who"), `${person.name} · ${rolesText(person.roles)}`);
     if (isNew) show();
   } catch (error) {
@@ -85,8 +96,9 @@ function lock() {
   leave();
   person = null;
   setText(byId("who"), "");
+  leaving.hidden = true;
   const link = part("a", tr("office.log_in"));
-  link.href = "../";
+  link.href = `../?office=${encodeURIComponent(window.location.hash.slice(1))}`;
   const contract = part("a", tr("office.api"));
   contract.href = "#api";
   byId("rooms").replaceChildren(contract);

@@ -1,30 +1,59 @@
 /** What the rooms of the office are made of: sections, tables, fields, and lists that go on by pages. */
 
-import { part, setText } from "../drawing/elements.js";
+import { part, pushButton, setText } from "../drawing/elements.js";
+import { localTime } from "../drawing/local_time.js";
 import { tr } from "../words/words.js";
 
 /** A section with a heading. */
 export function section(heading, ...children) {
   const made = part("section", "");
-  made.append(part("h2", heading), ...children);
+  made.append(...(heading === "" ? [] : [part("h2", heading)]), ...children);
   return made;
 }
 
-/** @param {{name: string, isNumber?: boolean, isLong?: boolean}[]} columns of numbers, or of texts that may wrap @param {(string|Node)[][]} rows */
+/**
+ * A table that a column's head sorts by, and the other way at the second press.
+ *
+ * @param {{name: string, isNumber?: boolean, isLong?: boolean}[]} columns of numbers, or of texts that may wrap @param {(string|Node)[][]} rows
+ */
 export function table(columns, rows) {
   const made = part("table", "");
   const head = made.createTHead().insertRow();
-  for (const { name, isNumber } of columns) {
-    const cell = part("th", name, isNumber ? "number" : "");
+  columns.forEach(({ name, isNumber }, place) => {
+    const cell = part("th", "", isNumber ? "number" : "");
     cell.scope = "col";
+    cell.append(name === "" ? "" : pushButton(name, () => sort(made, cell, place)));
     head.append(cell);
-  }
+  });
   const body = made.createTBody();
   for (const row of rows) body.append(line(columns, row));
   const wide = part("div", "", "wide");
   wide.tabIndex = 0;
   wide.append(made);
   return wide;
+}
+
+/** Sort by a column: numbers by their value, times by theirs where the cell states it, texts as the language has them. */
+function sort(made, head, place) {
+  const way = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+  for (const one of made.tHead.rows[0].cells) one.removeAttribute("aria-sort");
+  head.setAttribute("aria-sort", way === 1 ? "ascending" : "descending");
+  const isNumber = head.className === "number";
+  const keys = new Map([...made.tBodies[0].rows].map((row) => [row, keyOf(row.cells[place], isNumber)]));
+  const { compare } = new Intl.Collator(document.documentElement.lang, { numeric: true });
+  const order = isNumber ? (one, other) => one - other : compare;
+  made.tBodies[0].append(...[...keys.keys()].sort((one, other) => way * order(keys.get(one), keys.get(other))));
+}
+
+function keyOf(cell, isNumber) {
+  const words = cell.querySelector("time")?.dateTime ?? cell.textContent;
+  const digits = words.replace("−", "-").replace(",", ".").match(/-?[\d.]+/);
+  return isNumber ? Number(digits ?? -Infinity) : words;
+}
+
+/** A time that a table sorts by. */
+export function timed(at) {
+  return Object.assign(part("time", localTime(at)), { dateTime: at ?? "" });
 }
 
 function line(columns, row) {
@@ -100,8 +129,14 @@ export async function filled(place, ended, read, made) {
   }
 }
 
-/** Rows page by page, with a button for the next one. */
-export function pages(place, ended, columns, read, row, empty) {
+/** A time's bounds from two dates of this screen: from the beginning of the first to the end of the last. */
+export function between(since, until) {
+  const day = (date, later) => new Date(`${date}T00:00`).setDate(Number(date.slice(8)) + later);
+  return Object.fromEntries([["since", since, 0], ["until", until, 1]].filter(([, date]) => date).map(([name, date, later]) => [name, new Date(day(date, later)).toISOString()]));
+}
+
+/** Rows page by page, with a button for the next one. @param {() => void} onShown called after each page */
+export function pages(place, ended, columns, read, row, empty, onShown = () => {}) {
   const rows = [];
   const next = async (cursor) => {
     await filled(place, ended, () => read(cursor), ({ items, next_cursor: following }) => {
@@ -113,6 +148,26 @@ export function pages(place, ended, columns, read, row, empty) {
       more.addEventListener("click", () => next(following));
       return [table(columns, rows), more];
     });
+    if (!ended.aborted) onShown();
   };
   next(null);
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+export function svg(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+/** An empty picture with a name for those who do not see it. */
+export function picture(width, height, title) {
+  const made = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" });
+  made.append(Object.assign(svg("title", {}), { textContent: title }));
+  return made;
+}
+
+export function text(x, y, words, anchor) {
+  return Object.assign(svg("text", { x, y, "text-anchor": anchor }), { textContent: words });
 }

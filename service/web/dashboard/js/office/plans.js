@@ -42,7 +42,7 @@ function shown(items) {
     link(one.label, `#sessions/${encodeURIComponent(one.patient_reference)}`),
     tr(`office.gating.${one.gating}`),
     `${one.next_fraction}${one.fractions_planned === null ? "" : ` / ${one.fractions_planned}`}`,
-    one.last_session === null ? "–" : link(`${localTime(one.last_session.started_at)} · ${tr(`status.${one.last_session.status}`)}`, `../?session=${one.last_session.id}`),
+    one.last_session === null ? "–" : link(`${localTime(one.last_session.started_at)} · ${tr(`status.${one.last_session.status}`)}`, `#session/${one.last_session.id}`),
     `${localTime(one.created_at)} · ${one.imported_by}`,
   ]));
 }

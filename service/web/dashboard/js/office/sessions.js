@@ -1,17 +1,17 @@
 /**
- * Sessions: all of them, searched and page by page; each leads to its review at the console and to its report. The figures
- * of those in the list can be read beside each other, which shows a plan's fractions one below the other.
+ * Sessions: all of them, searched by text, time and state, page by page; each leads to its review and to its report. The
+ * figures of those in the list can be read beside each other.
  */
 
-import { listSessions, readReport, reportUrl, samplesUrl } from "../api.js";
-import { part, setText } from "../drawing/elements.js";
-import { localTime } from "../drawing/local_time.js";
+import { findSessions, readReport, reportUrl, samplesUrl } from "../api.js";
+import { part, pushButton, setText } from "../drawing/elements.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
-import { field, form, link, pages, section, typed } from "./parts.js";
+import { between, chosen, field, form, link, pages, section, timed, typed } from "./parts.js";
 
 const LIMIT = 25;
-const TEXTS = ["patient", "plan", "fraction", "started", "state"];
+const TEXTS = ["patient", "plan", "fraction", "started", "state", "signed"];
+const STATES = ["created", "running", "ended", "stopped", "failed", "interrupted"];
 const FIGURES = ["beam_on", "duty", "pulses", "amplitude", "period", "spread", "latency"];
 /** Sessions that are over have a report; one that was never started has nothing. */
 const OVER = new Set(["ended", "stopped", "failed", "interrupted"]);
@@ -21,40 +21,42 @@ export function sessionsRoom({ root, ended }) {
   const search = typed("search");
   // A link from another room names what is searched for.
   search.value = decodeURIComponent(window.location.hash.split("/")[1] ?? "");
-  let shown = [];
-  const show = (wanted) => { shown = []; rows(list, ended, wanted, shown); };
-  const compare = part("button", tr("office.compare"));
-  compare.type = "button";
-  compare.addEventListener("click", () => fill(shown, ended));
-  const bar = form([field(tr("office.search_sessions"), search, "search")], tr("office.find"), (given) => show(given.search ?? ""));
-  bar.append(compare);
-  root.append(section(tr("office.sessions"), bar, list));
-  show(search.value);
+  let wanted = search.value === "" ? {} : { search: search.value };
+  const show = (hasFigures) => rows(list, ended, wanted, hasFigures);
+  const fields = [
+    field(tr("office.search_sessions"), search, "search"),
+    field(tr("office.state"), chosen([["", tr("office.any")], ...STATES.map((one) => [one, tr(`status.${one}`)])]), "status"),
+    field(tr("office.since"), typed("date"), "since"),
+    field(tr("office.to"), typed("date"), "until"),
+  ];
+  const bar = form(fields, tr("office.find"), (given) => { wanted = given; show(false); });
+  bar.append(pushButton(tr("office.compare"), () => show(true)));
+  root.append(section("", bar, list));
+  show(false);
 }
 
-function rows(list, ended, search, shown) {
-  const columns = [
-    ...TEXTS.map((one) => ({ name: tr(`office.${one}`) })),
-    ...FIGURES.map((one) => ({ name: tr(`office.${one}`), isNumber: true })),
-    { name: tr("office.files") },
-  ];
+function rows(list, ended, { since, until, ...wanted }, hasFigures) {
+  const shown = [];
+  const names = hasFigures ? FIGURES : [];
+  const columns = [...TEXTS.map((one) => ({ name: tr(`office.${one}`) })), ...names.map((one) => ({ name: tr(`office.${one}`), isNumber: true })), { name: tr("office.files") }];
   const row = (session) => {
-    const places = Object.fromEntries(FIGURES.map((one) => [one, part("span", "")]));
+    const places = Object.fromEntries(names.map((one) => [one, part("span", "")]));
     const isOver = OVER.has(session.status) && session.started_at !== null;
     if (isOver) shown.push({ id: session.id, places });
-    const name = `${session.plan_id} · ${session.fraction_id}${session.fraction_number === null ? "" : ` (${session.fraction_number})`}`;
+    const name = `${session.fraction_id}${session.fraction_number === null ? "" : ` (${session.fraction_number})`}`;
     return [
       session.patient_reference,
       session.plan_id,
-      isOver ? link(name.split(" · ")[1], `../?session=${session.id}`) : session.fraction_id,
-      localTime(session.started_at),
+      isOver ? link(name, `#session/${session.id}`) : name,
+      timed(session.started_at),
       tr(`status.${session.status}`),
+      session.signed_by.join(", ") || "–",
       ...Object.values(places),
       isOver ? files(session.id) : "",
     ];
   };
-  const read = (cursor) => listSessions(LIMIT, search, cursor);
-  pages(list, ended, columns, read, row, tr("office.no_sessions"));
+  const read = (cursor) => findSessions({ ...wanted, ...between(since, until), limit: LIMIT, ...(cursor === null ? {} : { cursor }) });
+  pages(list, ended, columns, read, row, tr("office.no_sessions"), () => hasFigures && fill(shown, ended));
 }
 
 function files(id) {

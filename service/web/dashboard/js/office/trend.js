@@ -4,11 +4,10 @@ import { part } from "../drawing/elements.js";
 import { fixed } from "../drawing/numbers.js";
 import { localTime } from "../drawing/local_time.js";
 import { tr } from "../words/words.js";
-import { table, verdict } from "./parts.js";
+import { picture, svg, table, text, verdict } from "./parts.js";
 
 const [WIDTH, HEIGHT, LEFT, BELOW, ABOVE] = [1000, 260, 70, 30, 16];
 const INKS = { pass: "var(--on)", warn: "var(--hold-text)", fail: "var(--bad)" };
-const SVG = "http://www.w3.org/2000/svg";
 
 /** @param {{title: string, unit: string, sidedness: string, items: object[]}} trend the newest run first or last */
 export function trendPicture(trend) {
@@ -19,29 +18,22 @@ export function trendPicture(trend) {
   const span = high - low || 1;
   const x = (i) => LEFT + ((WIDTH - LEFT - 20) * (runs.length === 1 ? 0.5 : i / (runs.length - 1)));
   const y = (value) => HEIGHT - BELOW - ((HEIGHT - BELOW - ABOVE) * (value - low)) / span;
-  const picture = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
-  picture.append(Object.assign(svg("title", {}), { textContent: tr("office.trend_of", { title: trend.title, count: runs.length }) }));
+  const made = picture(WIDTH, HEIGHT, tr("office.trend_of", { title: trend.title, count: runs.length }));
   const sides = trend.sidedness === "absolute" ? [-1, 1] : [1];
   for (const [name, ink, dash] of [["warn", INKS.warn, "6 5"], ["fail", INKS.fail, "none"]]) {
-    for (const side of sides) picture.append(path(runs.map((one, i) => [x(i), y((trend.sidedness === "absolute" ? middle(one) : 0) + side * one[name])]), ink, dash));
+    for (const side of sides) made.append(path(runs.map((one, i) => [x(i), y((trend.sidedness === "absolute" ? middle(one) : 0) + side * one[name])]), ink, dash));
   }
-  picture.append(path(runs.map((one, i) => [x(i), y(one.value)]), "var(--faint)", "none"));
-  runs.forEach((one, i) => picture.append(svg("circle", { cx: x(i), cy: y(one.value), r: 5, fill: INKS[one.verdict] })));
-  for (const value of [low, (low + high) / 2, high]) picture.append(Object.assign(svg("text", { x: LEFT - 8, y: y(value) + 4, "text-anchor": "end" }), { textContent: fixed(value, span < 10 ? 2 : 0) }));
-  for (const i of new Set([0, runs.length - 1])) picture.append(Object.assign(svg("text", { x: x(i), y: HEIGHT - 8, "text-anchor": i === 0 ? "start" : "end" }), { textContent: runs[i].at.slice(0, 10) }));
-  return [picture, listed(trend, runs)];
+  made.append(path(runs.map((one, i) => [x(i), y(one.value)]), "var(--faint)", "none"));
+  runs.forEach((one, i) => made.append(svg("circle", { cx: x(i), cy: y(one.value), r: 5, fill: INKS[one.verdict] })));
+  for (const value of [low, (low + high) / 2, high]) made.append(text(LEFT - 8, y(value) + 4, fixed(value, span < 10 ? 2 : 0), "end"));
+  for (const i of new Set([0, runs.length - 1])) made.append(text(x(i), HEIGHT - 8, runs[i].at.slice(0, 10), i === 0 ? "start" : "end"));
+  return [made, listed(trend, runs)];
 }
 
 const middle = (one) => one.expected ?? 0;
 
 function path(points, stroke, dash) {
   return svg("polyline", { points: points.map((one) => one.map((value) => value.toFixed(1)).join(",")).join(" "), fill: "none", stroke, "stroke-width": 1.5, "stroke-dasharray": dash });
-}
-
-function svg(name, attributes) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
 }
 
 /** The same as numbers, for those who do not see the picture. */

@@ -20,8 +20,8 @@ const TITLES = {
   patient: tr("arming.patient"), plan: tr("arming.plan"), camera: tr("arming.camera"), head_direction: tr("arming.head"), view: tr("arming.view"), model: tr("arming.model"),
   reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), checks: tr("arming.checks"), countersignature: tr("arming.second_person"), site: "QA", gate: tr("arming.gate"),
 };
-/** Who is treated, where the patient lies, what is gated, and how good the measurement is; what is of none is in the last. */
-const GROUPS = { who: ["plan", "countersignature"], what: ["window", "reference", "gate"], where: ["camera", "head_direction", "view", "position"], good: ["model", "checks", "site"] };
+/** What a person compares with the patient, whatever its state; of the rest each line that needs a look is shown too. */
+const GROUPS = { who: ["plan", "countersignature"], what: ["window", "reference"], where: ["head_direction", "position"] };
 const MARKS = { ok: "✓", attention: "!", missing: "✕" };
 const WORDS = { ok: "", attention: tr("arming.look"), missing: tr("arming.missing") };
 
@@ -81,6 +81,8 @@ export class ArmingPanel {
     // What was late is looked at again: another content for the guard.
     if (sample === null) this.lates += this.isLate ? 0 : 1;
     this.isLate = sample === null;
+    // Seen once, a list stays so until another one is shown.
+    this.isSeen ||= byId("arming-items").getBoundingClientRect().bottom <= byId("arming-foot").getBoundingClientRect().top + 1;
     const isIgnored = this.guard.update(nowMs, this.#looked);
     const obstacle = this.#obstacle();
     this.button.disabled = this.summary?.is_ready !== true || obstacle !== "" || this.controls.isBusy;
@@ -99,11 +101,12 @@ export class ArmingPanel {
   #obstacle() {
     if (this.controls.isWindowEdited) return tr("controls.apply_the_window_or_cancel_it");
     if (this.isLate) return tr("arming.the_picture_is_late_look_again");
+    if (!this.isSeen) return tr("arming.scroll_to_the_last_line");
     return this.summary?.needs_reason === true && this.reason.value.trim() === "" ? tr("arming.give_the_reason") : "";
   }
 
   #forget() {
-    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false });
+    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity, lates: 0, isLate: false, isSeen: false });
     byId("arming-items").replaceChildren();
     byId("arming-reason-field").hidden = true;
     this.countersigning.hidden = true;
@@ -137,7 +140,7 @@ export class ArmingPanel {
     const key = JSON.stringify([etag, summary.state, summary.items.map((one) => [one.code, one.state, one.code === "position" ? "" : one.text])]);
     this.trouble = "";
     if (key === this.key && this.summary !== null) return;
-    Object.assign(this, { summary, etag, key });
+    Object.assign(this, { summary, etag, key, isSeen: false });
     byId("arming-reason-field").hidden = summary.needs_reason !== true;
     this.countersigning.hidden = !summary.items.some((one) => one.code === "countersignature" && one.state === "missing");
     this.presses.reset();
@@ -177,17 +180,26 @@ export class ArmingPanel {
   }
 }
 
+/** First what needs a look, then what a person compares, and the rest as one line that opens. */
 function groupsOf(items) {
-  const named = Object.values(GROUPS).flat();
-  return Object.entries(GROUPS).map(([name, codes]) => {
-    const group = part("section", "");
-    const list = part("dl", "");
-    const own = codes.flatMap((code) => items.filter((one) => one.code === code));
-    if (name === "good") own.push(...items.filter((one) => !named.includes(one.code)));
-    list.append(...own.map(itemLine));
-    group.append(part("h3", tr(`arming.group.${name}`)), list);
-    return group;
-  });
+  const look = items.filter((one) => one.state !== "ok");
+  const fine = items.filter((one) => one.state === "ok");
+  const named = Object.entries(GROUPS).map(([name, codes]) => [name, codes.flatMap((code) => fine.filter((one) => one.code === code))]);
+  const groups = [["look", look], ...named].filter(([, own]) => own.length > 0).map(([name, own]) => group(part("h3", tr(`arming.group.${name}`)), own));
+  const rest = fine.filter((one) => !Object.values(GROUPS).flat().includes(one.code));
+  if (rest.length === 0) return groups;
+  const details = part("details", "");
+  const names = rest.map((one) => TITLES[one.code] ?? one.code).join(", ");
+  details.append(part("summary", tr("arming.in_order", { count: rest.length, names })), group("", rest));
+  return [...groups, details];
+}
+
+function group(heading, items) {
+  const made = part("section", "");
+  const list = part("dl", "");
+  list.append(...items.map(itemLine));
+  made.append(heading, list);
+  return made;
 }
 
 function itemLine({ code, state, text }) {
@@ -209,6 +221,7 @@ function edgesText(window) {
       if (one.kind === "phase") return tr("arming.to_of_the_breath", { one: signalName(one), from_percent: one.from_percent, to_percent: one.to_percent });
       const digits = one.unit === "l" ? 2 : 1;
       const name = one.kind === "breath_hold" ? tr("arming.breath_hold") : "";
+      if (!Number.isFinite(one.lower)) return tr("window_editor.held_first");
       return hasEdges(one) ? tr("arming.to", { one: signalName(one), name, value: fixed(one.lower, digits), value2: fixed(one.upper, digits), unit: one.unit }) : tr("arming.to_2", { one: signalName(one), name, lower: one.lower, upper: one.upper });
     })
     .join(window?.join === "or" ? tr("signal.or") : tr("signal.and"))

@@ -61,6 +61,8 @@ function renderPhase(sample, breath) {
     dot.setAttribute("cy", y.toFixed(2));
   }
   const phases = conditionsOf(sample?.window).filter((one) => one.kind === "phase");
+  // Where no phase gates, none is shown.
+  if (sample !== null) byId("phase").hidden = phases.length === 0;
   byId("phase-window").setAttribute("d", phases.map(arc).join(" "));
   setText(byId("phase-value"), isKnown ? `${Math.round(phase)} %` : NONE);
   setText(byId("phase-note"), isKnown ? tr("breath.phase_confidence", { value: fixed(breath.phase_confidence, 2) }) : unknown(sample, breath));

@@ -86,6 +86,15 @@ function showFields(condition) {
   for (const field of condition.querySelectorAll(".field")) {
     field.hidden = Object.entries(chosen).some(([asked, is]) => asked in field.dataset && !field.dataset[asked].split(" ").includes(is));
   }
+  // A breath hold may be without edges, and has no hysteresis then.
+  const own = edgesOf(condition, unit);
+  for (const edge of own) {
+    edge.placeholder = kind === "breath_hold" ? tr("conditions.from_a_held_breath") : "";
+    if (kind === "breath_hold" && own.every((one) => one.value === "")) edge.dataset.optional = "";
+    else delete edge.dataset.optional;
+  }
+  const hysteresis = condition.querySelector(`[data-name="hysteresis_${unit}"]`).closest(".field");
+  hysteresis.hidden ||= "optional" in own[0].dataset;
 }
 
 /**
@@ -98,6 +107,10 @@ function suggestEdges(condition) {
     if (isHold && edge.value === edge.defaultValue) edge.value = "";
     else if (!isHold && edge.value === "") edge.value = edge.defaultValue;
   }
+}
+
+function edgesOf(condition, unit) {
+  return ["lower", "upper"].map((edge) => condition.querySelector(`[data-name="${edge}_${unit}"]`));
 }
 
 /** Enter a condition as the controller describes it; what it leaves out keeps the form's value. */

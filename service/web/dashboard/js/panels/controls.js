@@ -13,6 +13,7 @@ import { rememberArming } from "../people/presence.js";
 import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
 import { positionObstacle, renderPosition, signObstacle } from "./position.js";
+import { awaitsLevel } from "../stream/gating_window.js";
 import { roomMoveOf } from "../stream/gate_state.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
@@ -65,7 +66,7 @@ const OBSTACLES = {
   sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? tr("controls.already_training") : ""),
   apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : tr("controls.no_new_model_is_ready")),
-  acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? "" : tr("controls.there_is_no_fault")),
+  acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? (c.sample.accelerator_beam === "on" ? tr("controls.beam_is_still_reported") : "") : tr("controls.there_is_no_fault")),
   start: (c) => (c.kind === "idle" ? "" : tr("controls.a_session_is_running")) || (waits(c) ? "" : tr("controls.create_a_session_first")),
   stop: (c) => (waits(c) ? "" : running(c)),
 };
@@ -76,7 +77,7 @@ const running = (c) => (c.sample === null ? tr("controls.no_running_session") : 
 const still = (c) => (c.sample.is_armed ? tr("controls.disarm_first") : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? tr("controls.the_stored_model_is_still_being_compared") : "");
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? tr("controls.set_the_reference_first") : "");
-const isApplied = (c) => (c.isWindowEdited ? tr("controls.apply_the_window_or_cancel_it") : "");
+const isApplied = (c) => (c.isWindowEdited ? tr("controls.apply_the_window_or_cancel_it") : awaitsLevel(c.sample.window) ? tr("controls.level_of_the_hold_first") : "");
 /** In clinical mode a person confirms stickers and chest before the session's first reference. */
 const isSetUp = (c) => (c.selected?.mode !== "clinical" || !needsReference(c.sample, c.selected) || document.getElementById("setup-confirmed").checked ? "" : tr("controls.confirm_stickers_and_chest_first"));
 const typedReason = () => document.getElementById("reference-reason").value.trim();
@@ -116,6 +117,7 @@ export class Controls {
     this.said = { state: "", atMs: -Infinity, action: "" };
     this.asked = {};
     this.left = null;
+    this.turn = null;
     this.setupConfirmed = document.getElementById("setup-confirmed");
     this.setupConfirmed.addEventListener("change", () => this.update(this.context));
     this.keepsReference = document.getElementById("keep-reference");
@@ -181,18 +183,20 @@ export class Controls {
       button(action).title = why === "" ? "" : tr("controls.not_now", { why });
     }
     if (!button("arm").disabled) button("arm").title = tr("controls.shows_what_would_be_armed_before_it_is");
-    setText(document.getElementById("hint"), hint(this.context));
-    const proposal = proposalText(this.context);
+    this.#showTurn();
+    const laidOut = { ...context, sample: context.sample ?? context.laidOut ?? null };
+    setText(document.getElementById("hint"), hint(laidOut));
+    const proposal = proposalText(laidOut);
     document.getElementById("reference").hidden = proposal === "";
     // Before the session's first reference there is none to keep: the tick's place is that of the set-up.
-    const isFirst = proposal !== "" && needsReference(context.sample, context.selected);
+    const isFirst = proposal !== "" && needsReference(laidOut.sample, context.selected);
     document.getElementById("setup-confirmed-field").hidden = !isFirst;
     document.getElementById("keep-reference-field").hidden = isFirst;
     setText(document.getElementById("reference-proposal"), proposal);
-    const move = proposal === "" ? null : roomMoveOf(context.sample);
+    const move = proposal === "" ? null : roomMoveOf(laidOut.sample);
     setText(button("reference"), move === null ? tr("page.set_reference") : tr(`moved.${move.what}.confirm`, move));
     this.#goOn();
-    renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
+    renderPosition(laidOut.sample?.position_check, proposalOf(laidOut), this.operatorName);
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.#runsNone ? tr("controls.no_running_session") : "");
       button(action).disabled = why !== "";
@@ -203,10 +207,24 @@ export class Controls {
     this.#forgetOutcome();
     if (!isAnothers(context)) this.#ask("release", false);
     if (button("acknowledge").disabled && this.presses.askedMs !== null) this.presses.reset();
-    button("apply").hidden = stageOf(context.sample) !== "waiting";
+    button("apply").hidden = stageOf(laidOut.sample) !== "waiting";
     this.keepsReference.disabled = button("retrain").disabled;
     const isIgnored = this.clickGuard.update(performance.now());
     for (const action of PERMITTING) showGuard(button(action), isIgnored);
+  }
+
+  /** Give the place of the next button to the one that has its turn; none while the gate decides. */
+  #showTurn() {
+    const { kind, sample, selected } = this.context;
+    let turn = this.turn;
+    if (sample?.gate === "fault") turn = "acknowledge";
+    else if (sample?.operator_hold) turn = "release";
+    else if (sample?.is_armed) turn = null;
+    else if (sample !== null) turn = needsReference(sample, selected) || roomMoveOf(sample) !== null ? "reference" : "arm";
+    else if (kind === "idle") turn = "start";
+    if (turn === this.turn) return;
+    for (const one of [this.turn, turn]) if (one) button(one).dataset.turn = one === turn ? "yes" : "no";
+    this.turn = turn;
   }
 
   /** Whether no gate can be armed: the state is known, and nothing on its way arms. */
@@ -274,6 +292,8 @@ export class Controls {
 
   /** Whether the click counts; else it is ignored with a message. */
   #isMeant(action, event) {
+    // A key has no place that another button could come to; Arm shows a summary, which has a guard of its own.
+    if (action === "arm" && event.detail === 0) return true;
     const refusal = this.clickGuard.refusal(event);
     if (refusal === "moved") this.say("failed", tr("controls.not_sent", { action: label(action), why: MOVED }));
     return refusal === "";

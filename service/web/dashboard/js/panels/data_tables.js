@@ -64,7 +64,7 @@ function windowRows(window) {
 
 function edges(one) {
   if (one.kind === "phase") return [`${one.from_percent} %`, `${one.to_percent} %`];
-  return [one.lower, one.upper].map((value) => `${value} ${one.unit === "percent" ? "%" : one.unit}`);
+  return [one.lower, one.upper].map((value) => value === null ? "–" : `${value} ${one.unit === "percent" ? "%" : one.unit}`);
 }
 
 /** One sample a second, the newest first. */

@@ -1,9 +1,10 @@
 /** The events panel: the newest rows of the session's audit log as sentences, one a pulse; a click shows the trace at that time. */
 
 import { listAudit } from "../api.js";
-import { part, said, setText } from "../drawing/elements.js";
+import { part, setText } from "../drawing/elements.js";
 import { fixed } from "../drawing/numbers.js";
-import { has, tr } from "../words/words.js";
+import { reason, sentence, stateAfter } from "../words/audit_rows.js";
+import { tr } from "../words/words.js";
 
 /** The actor of events that the system itself caused. */
 const SYSTEM = "tidegate";
@@ -120,26 +121,6 @@ function row({ entry, seconds, end }) {
   const what = seconds === null ? sentence(entry) : tr("event.pulse", { seconds: fixed(seconds, 1) });
   item.append(time, part("strong", what), part("span", [reason(end ?? entry), by(entry)].filter(Boolean).join(" · ")));
   return item;
-}
-
-/** The gate's state after a transition; undefined for any other event. */
-function stateAfter(entry) {
-  return entry.detail?.to_state ?? entry.detail?.to;
-}
-
-function sentence(entry) {
-  const to = stateAfter(entry);
-  const key = typeof to === "string" ? `event.to.${to}` : `event.${entry.action}`;
-  const words = has(key) ? tr(key) : String(to ?? entry.action).replaceAll(/[._]/g, " ");
-  return entry.outcome === "done" ? words : `${words}: ${has(`event.outcome.${entry.outcome}`) ? tr(`event.outcome.${entry.outcome}`) : entry.outcome}`;
-}
-
-/** Why: the sentence of a code of the gate, else what the service says. */
-function reason(entry) {
-  const detail = entry.detail ?? {};
-  const why = detail.reason ?? detail.code ?? detail.detail ?? "";
-  if (typeof why !== "string" || stateAfter(entry) === "beam_on") return "";
-  return has(`hold.${why}.what`) ? tr(`hold.${why}.what`) : said(why.replaceAll("_", " "));
 }
 
 function by(entry) {

@@ -22,7 +22,7 @@ const FIGURES = {
 
 export function renderFigures(sample, isSimulatedBeam) {
   for (const [id, textOf] of Object.entries(FIGURES)) setText(document.getElementById(id), sample ? textOf(sample) : NONE);
-  renderChecks(sample?.checks ?? []);
+  if (sample !== null || document.body.dataset.fresh === "yes") renderChecks(sample?.checks ?? []);
   document.getElementById("figure-latency").dataset.bad = sample?.latency_ms?.warned === true ? "yes" : "no";
   document.getElementById("figure-missed").dataset.bad = sample?.missed_frames > 0 ? "yes" : "no";
   // What is marked inside is marked outside, too: the figures may be folded away.

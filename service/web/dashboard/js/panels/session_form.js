@@ -150,9 +150,7 @@ export class SessionForm {
     const { plan } = this;
     this.#input("fraction_number").value = plan?.next_fraction ?? "";
     // Anew for each plan: the technique of one that was looked at before is not the next one's.
-    const isBreathHold = plan?.gating === "breath_hold";
-    this.conditions.reset([isBreathHold ? { kind: "breath_hold" } : null]);
-    if (isBreathHold) this.more.open = true;
+    this.conditions.reset([plan?.gating === "breath_hold" ? { kind: "breath_hold" } : null]);
     this.#showPlan();
   }
 

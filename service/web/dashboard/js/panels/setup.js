@@ -3,7 +3,6 @@
 import { createSession, listCalibrations, listDevices, listRecordings, prepareSession, uploadCalibration } from "../api.js";
 import { byId, say } from "../drawing/elements.js";
 import { may, obstacle } from "../people/permissions.js";
-import { isOver } from "./summary.js";
 import { SessionForm } from "./session_form.js";
 import { WorkList } from "./work_list.js";
 import { tr } from "../words/words.js";
@@ -14,10 +13,9 @@ export class Setup {
   /**
    * @param {import("../people/access.js").Access} access the log-in and its permissions
    * @param {(session: object) => void} onSelect called with the chosen or created session
-   * @param {(session: object) => string} onOpen called with a session that is over, to show it; returns why it cannot be
    */
-  constructor(access, onSelect, onOpen) {
-    Object.assign(this, { access, onSelect, onOpen, sources: { devices: [], recordings: [], kinds: [] } });
+  constructor(access, onSelect) {
+    Object.assign(this, { access, onSelect, sources: { devices: [], recordings: [], kinds: [] } });
     this.panel = byId("setup");
     this.toggle = byId("do-setup");
     this.form = byId("new-session");
@@ -90,9 +88,8 @@ export class Setup {
     this.#say("", plan === null ? "" : tr("work.check_camera", { patient_reference: plan.patient_reference, label: plan.label }));
   }
 
-  /** Show a session that is over, or take up one that was created. */
+  /** Take up a session that was created. */
   #take(session) {
-    if (isOver(session)) return this.#say("failed", this.onOpen(session));
     this.onSelect(session);
     this.show(false);
   }

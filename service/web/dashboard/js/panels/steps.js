@@ -5,7 +5,7 @@
 
 import { readModel, readSpectrum } from "../api.js";
 import { byId, capitalized, part, said } from "../drawing/elements.js";
-import { describe as describeWindow } from "../stream/gating_window.js";
+import { awaitsLevel, describe as describeWindow } from "../stream/gating_window.js";
 import { roomMoveOf } from "../stream/gate_state.js";
 import { needsReference } from "./training.js";
 import { fixed } from "../drawing/numbers.js";
@@ -55,7 +55,7 @@ export class Steps {
     const isShown = !isOver && !this.isHidden;
     this.root.hidden = !isShown;
     this.show.hidden = isOver || !this.isHidden;
-    const windowLookedAt = this.windowLookedAt && !isWindowEdited;
+    const windowLookedAt = this.windowLookedAt && !isWindowEdited && !awaitsLevel(sample?.window);
     const steps = isOver ? [] : stepsOf({ sample, session, windowLookedAt, model: this.model });
     this.#point(steps.find((one) => one.state === "now")?.button ?? null);
     if (isShown) this.#draw(steps);
@@ -105,7 +105,7 @@ export function stepsOf({ sample, session, windowLookedAt, model }) {
   ];
   const check = sample?.position_check;
   if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", said(check.text), "do-sign"));
-  steps.push(step("window", windowLookedAt, sample === null ? tr("steps.set_on_the_patient_s_own_trace") : tr("steps.gated_on_press_set_window_change_it_or_keep", { window: describeWindow(sample.window) }), "do-window"));
+  steps.push(step("window", windowLookedAt, sample === null ? tr("steps.set_on_the_patient_s_own_trace") : awaitsLevel(sample.window) ? tr("window_editor.held_first") : tr("steps.gated_on_press_set_window_change_it_or_keep", { window: describeWindow(sample.window) }), "do-window"));
   steps.push(step("summary", false, tr("steps.press_arm_read_each_line_then_arm_now"), "do-arm"));
   const now = steps.find((one) => one.state === "later");
   if (now) now.state = "now";

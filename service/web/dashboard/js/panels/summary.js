@@ -8,7 +8,6 @@ import { byId, part, said, setText } from "../drawing/elements.js";
 import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
-import { Review } from "./review.js";
 import { whatIs } from "../words/reasons.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
@@ -33,7 +32,6 @@ export class Summary {
    */
   constructor(access, onCreated, onShown) {
     Object.assign(this, { access, onCreated, onShown, root: byId("report"), button: byId("report-continue"), dismissed: null });
-    this.review = new Review(access);
     this.forget();
     byId("report-close").addEventListener("click", () => this.close());
     this.button.addEventListener("click", () => this.#continue());
@@ -43,19 +41,15 @@ export class Summary {
     return !this.root.hidden;
   }
 
-  /**
-   * Show a session that is over, unless it is shown already or was closed by a person. One that a person chose stays until
-   * it is closed.
-   */
-  async open({ id }, isChosen = false, range = null) {
-    if (!isChosen && (this.isChosen || id === this.id || id === this.dismissed)) return;
+  /** Show a session that is over, unless it is shown already or was closed by a person. */
+  async open({ id }) {
+    if (id === this.id || id === this.dismissed) return;
     this.forget();
-    Object.assign(this, { id, isChosen });
+    this.id = id;
     try {
       const [session, models] = await Promise.all([readSession(id), listModels(id, 1)]);
       if (id !== this.id) return;
       if (isOver(session)) this.#show(session, models.items[0] ?? null);
-      if (isOver(session) && isChosen) this.review.show(session, range);
     } catch {
       // It is asked for again with the next look.
       if (id === this.id) this.forget();
@@ -65,18 +59,16 @@ export class Summary {
   /** Close it for good: the same session is not shown again. @returns {boolean} whether it was open */
   close() {
     const wasOpen = this.isOpen;
-    const isOwn = wasOpen && !this.isChosen;
-    if (isOwn) this.dismissed = this.id;
+    if (wasOpen) this.dismissed = this.id;
     this.forget();
-    if (isOwn) this.id = this.dismissed;
+    if (wasOpen) this.id = this.dismissed;
     return wasOpen;
   }
 
   /** Remove everything of the session, after a log-out or as another one is chosen. */
   forget() {
-    Object.assign(this, { id: null, session: null, model: null, isBusy: false, isChosen: false });
+    Object.assign(this, { id: null, session: null, model: null, isBusy: false });
     this.root.hidden = true;
-    this.review.forget();
     for (const name of ["report-heading", "report-when", "report-note", "report-outcome"]) setText(byId(name), "");
     byId("report-figures").replaceChildren();
     byId("report-holds").replaceChildren();
@@ -91,10 +83,9 @@ export class Summary {
     setText(byId("report-when"), whenText(session));
     byId("report-figures").replaceChildren(...figures(session).map(figure));
     byId("report-holds").replaceChildren(...holdLines(session.summary.holds ?? []));
-    // One of the past may have been continued long ago.
-    const isOffered = isBroken && !this.isChosen;
-    this.button.hidden = !isOffered;
-    if (isOffered) this.#offer();
+    byId("report-review").href = `office/#session/${session.id}`;
+    this.button.hidden = !isBroken;
+    if (isBroken) this.#offer();
     this.root.hidden = false;
     this.onShown(session, isBroken);
   }

@@ -22,14 +22,12 @@ const LONG_S = 90;
 const LONG_MS = 200;
 const TIME_STEPS = [1, 2, 5, 10, 15, 30, 60, 120];
 const MOST_TIMES = 8;
-const EXTRA = ["thorax", "abdomen"];
 const GATES = { disarmed: tr("trace.disarmed"), hold: tr("trace.hold"), dwell: tr("trace.dwell"), beam_on: tr("trace.beam_on"), fault: tr("trace.fault") };
 
 export class Trace {
   constructor(host) {
     this.host = host;
     this.choice = "gated";
-    this.extra = new Set();
     this.range = null;
     /** A condition that is being edited: in mm or litres, drawn beside the window in use; null if none is. */
     this.proposal = null;
@@ -41,7 +39,7 @@ export class Trace {
     this.kept = new TraceSamples();
     this.view = new TraceView();
     this.nowS = 0;
-    this.chart = new Chart(host, ["line", "thorax", "abdomen"].map((name) => () => layers.COLORS[name]), {
+    this.chart = new Chart(host, [() => layers.COLORS.line], {
       below: (pen) => this.#drawBelow(pen),
       above: (pen) => this.#drawAbove(pen),
       times: (from, to) => this.#times(from, to),
@@ -96,6 +94,11 @@ export class Trace {
     this.marks.add(message.breath, t, t - KEPT_S);
   }
 
+  /** Show recorded samples before the first one, unless another zero was set meanwhile. */
+  putBefore(sessionId, messages) {
+    if (this.kept.sessionId === sessionId && this.kept.steps.length === 0 && this.kept.all.length > 0) this.kept.putBefore(messages, this.window);
+  }
+
   draw(nowMs) {
     this.canvas.dataset.session = this.kept.sessionId ?? "";
     const last = this.kept.all.at(-1);
@@ -110,8 +113,7 @@ export class Trace {
     this.drawnMs = nowMs;
     this.#fitRange(from, to);
     const { times, values } = this.kept;
-    const extra = EXTRA.map((name) => (this.#showsExtra(name) ? values[name] : []));
-    this.chart.draw([times, extra[1], extra[0], values[this.choice]], [from, to], [this.range.low, this.range.high]);
+    this.chart.draw([times, values[this.choice]], [from, to], [this.range.low, this.range.high]);
     this.#readOut();
   }
 
@@ -140,10 +142,6 @@ export class Trace {
     }, { passive: false });
     this.host.addEventListener("keydown", (event) => this.#key(event));
     byId("trace-live").addEventListener("click", () => this.toLive());
-    byId("trace-extra").addEventListener("change", (event) => {
-      if (event.target.checked) this.extra.add(event.target.value);
-      else this.extra.delete(event.target.value);
-    });
   }
 
   #key(event) {
@@ -183,10 +181,6 @@ export class Trace {
     return this.window !== null && (this.choice === "gated" || this.choice === this.window.signal);
   }
 
-  #showsExtra(name) {
-    return this.extra.has(name) && this.choice !== name && this.#unit() === "mm";
-  }
-
   #unit() {
     return this.choice === "gated" ? gatedUnit(this.window) : "mm";
   }
@@ -207,10 +201,8 @@ export class Trace {
       least = Math.min(least, value);
       most = Math.max(most, value);
     };
-    for (const name of [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))]) {
-      const values = this.kept.values[name];
-      for (let i = first; i < end; i += 1) if (values[i] !== null) stretch(values[i]);
-    }
+    const values = this.kept.values[this.choice];
+    for (let i = first; i < end; i += 1) if (values[i] !== null) stretch(values[i]);
     const lines = this.#shown().filter(hasEdges);
     if (this.proposal !== null && this.choice === "gated") lines.push(this.proposal);
     for (const { lower, upper } of lines) [lower, upper].forEach(stretch);
@@ -302,11 +294,10 @@ export class Trace {
 
   #valuesOf(sample) {
     const unit = this.#unit();
-    const names = [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))].filter((name) => Number.isFinite(sample[name]));
-    const values = names.map((name) => `${name === this.choice ? "" : `${name} `}${fixed(sample[name], unit === "l" ? 2 : 1)} ${unit}`);
-    if (values.length === 0) values.push(tr("trace.not_measured"));
+    const value = sample[this.choice];
+    const shown = Number.isFinite(value) ? `${fixed(value, unit === "l" ? 2 : 1)} ${unit}` : tr("trace.not_measured");
     const cause = ["hold", "fault"].includes(sample.gate) && sample.reason ? `: ${words(sample.reason)}` : "";
-    return [tr("trace.s_ago", { value: fixed(this.nowS - sample.t, 1), value2: this.#clock(sample.t) }), ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
+    return [tr("trace.s_ago", { value: fixed(this.nowS - sample.t, 1), value2: this.#clock(sample.t) }), shown, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
   }
 }
 

@@ -44,7 +44,7 @@ export function renderLearning(sample, session, isFresh) {
   const root = document.getElementById("learning");
   root.dataset.phase = view.phase;
   root.dataset.stage = view.stage ?? "none";
-  setText(document.getElementById("learning-title"), view.title);
+  setText(document.getElementById("learning-title"), isFresh ? view.title : tr("training.not_known"));
   setText(document.getElementById("learning-share"), view.share === null ? "" : `${Math.round(100 * view.share)} %`);
   setText(document.getElementById("learning-detail"), view.detail);
   const bar = document.getElementById("learning-bar");

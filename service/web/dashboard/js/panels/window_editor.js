@@ -123,13 +123,14 @@ export class WindowEditor {
     this.opener.setAttribute("aria-expanded", "true");
     const shown = conditionsOf(this.sample.window)[this.#place];
     const isInPercent = shown.unit === "percent";
+    this.isLevelSet = Number.isFinite(shown.lower);
     this.form.elements.unit.options[1].textContent = this.#length;
     this.form.elements.unit.options[1].value = this.#length;
-    this.unit = isInPercent || this.#range() !== null ? "percent" : this.#length;
+    this.unit = isInPercent || (this.isLevelSet && this.#range() !== null) ? "percent" : this.#length;
     this.form.elements.unit.value = this.unit;
     Object.assign(this.reason, { value: "", hidden: true });
     this.form.elements.dwell_ms.value = this.session.window.dwell_ms ?? 0;
-    const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
+    const toUnit = (value) => (value === null || isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
     byId("window-held").hidden = shown.kind !== "breath_hold";
     this.enteredAtFirst = this.#entered;
@@ -161,7 +162,7 @@ export class WindowEditor {
     const { elements } = this.form;
     for (const [name, value] of [["lower", lower], ["upper", upper]]) {
       elements[name].step = STEPS[this.unit];
-      elements[name].value = value.toFixed(DIGITS[this.unit]);
+      elements[name].value = value?.toFixed(DIGITS[this.unit]) ?? "";
     }
   }
 
@@ -229,6 +230,7 @@ export class WindowEditor {
     const found = proposal === null ? null : this.#forecast(proposal);
     text.dataset.short = found?.shortestS !== null && found?.shortestS < SHORT_S ? "yes" : "no";
     if (performance.now() - this.saidMs < SAID_MS) setText(text, this.said);
+    else if (!this.isLevelSet && this.form.elements.lower.value === "") setText(text, tr("window_editor.held_first"));
     else setText(text, this.#edges() === null ? tr("window_editor.the_lower_edge_must_be_below_the_upper_one") : forecastText(found, this.#whyNoForecast(proposal)));
   }
 

@@ -66,7 +66,8 @@ export class WorkList {
     const before = last === null ? tr("work.never") : tr("work.last", { status: tr(`status.${last.status}`), at: localTime(last.started_at) });
     const button = pushButton(tr("work.set_up"), () => this.act.onPlan(plan));
     button.setAttribute("aria-label", tr("work.set_up_of", { patient_reference: plan.patient_reference, label: plan.label }));
-    item.append(part("strong", plan.patient_reference), part("span", plan.label), part("b", fraction), part("small", before), button);
+    item.append(part("strong", plan.patient_reference), part("span", plan.label), part("b", fraction), part("small", `${before} · ${tr(`office.gating.${plan.gating}`)}`));
+    if (!isDone) item.append(button);
     item.dataset.done = isDone ? "yes" : "no";
     item.dataset.last = last?.status ?? "";
     return item;
@@ -75,14 +76,13 @@ export class WorkList {
   #session(session) {
     const item = document.createElement("li");
     const isPast = isOver(session);
-    const choose = pushButton("", () => this.act.onSession(session));
+    const choose = isPast ? Object.assign(part("a", ""), { href: `office/#session/${session.id}`, target: "_blank", rel: "noopener" }) : pushButton("", () => this.act.onSession(session));
     const status = part("em", tr(`status.${session.status}`));
     status.dataset.status = session.status;
     choose.append(part("strong", session.patient_reference), part("span", `${session.plan_id} · ${session.fraction_id}`), status);
     choose.append(part("time", localTime(session.started_at ?? session.created_at)));
     choose.className = isPast ? "open" : "";
-    choose.disabled = session.status !== "created" && !isPast;
-    choose.title = isPast ? tr("setup.show_its_summary") : "";
+    if (!isPast) choose.disabled = session.status !== "created";
     item.append(choose);
     if (session.status !== "created") item.append(this.#again(session));
     return item;

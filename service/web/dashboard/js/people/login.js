@@ -113,9 +113,14 @@ export class LogIn {
     submit.disabled = performance.now() < this.freeAtMs;
   }
 
-  /** A person who manages people and cannot run sessions works in the office: a log-in leads there. */
+  /**
+   * A log-in leads back to the part of the office that it was asked for, and to people for a person who manages them and
+   * cannot run sessions.
+   */
   #goToOffice() {
-    if (this.access.may("people") && !this.access.may("create")) window.location.assign("office/#people");
+    const wanted = new URLSearchParams(window.location.search).get("office");
+    if (wanted !== null) window.location.assign(`office/#${wanted}`);
+    else if (this.access.may("people") && !this.access.may("create")) window.location.assign("office/#people");
   }
 
   #refuse(error) {

@@ -26,8 +26,8 @@ export class SoundPanel {
     this.button.addEventListener("click", () => this.show(this.panel.hidden));
     byId("sounds-close").addEventListener("click", () => this.show(false));
     this.quiet.addEventListener("click", () => this.#silence(performance.now()));
-    offerLanguages(byId("language"));
-    offerThemes(byId("theme"));
+    for (const one of document.querySelectorAll("select.language")) offerLanguages(one);
+    for (const one of document.querySelectorAll("select.theme")) offerThemes(one);
   }
 
   show(isShown) {

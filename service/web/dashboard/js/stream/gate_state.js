@@ -11,6 +11,8 @@ import { adviceFor, whatIs } from "../words/reasons.js";
 import { fixed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
+const INTERLOCK = "beam_without_permit";
+
 const WORDS = { disarmed: tr("gate_state.disarmed"), hold: tr("gate_state.hold"), dwell: tr("gate_state.dwell"), beam_on: tr("gate_state.beam_on"), fault: tr("gate_state.fault") };
 
 const REASONS = {
@@ -73,7 +75,13 @@ function gate(message, ageMs) {
   if (kind === "beam_on" && message.line_on !== true) {
     return { ...fresh("hold", tr("gate_state.line_off"), tr("gate_state.the_gate_permits_the_beam_but_the_beam_line"), ageMs), toDo: tr("state.line_off.do"), call: tr("hold.permit_without_beam.call") };
   }
-  return { ...fresh(kind, WORDS[kind], reasonOf(message), ageMs), ...adviceOf(message), detail: detailOf(message) };
+  return { ...fresh(kind, wordOf(message), reasonOf(message), ageMs), ...adviceOf(message), detail: detailOf(message) };
+}
+
+/** "Beam on" is what the accelerator says, a permit is what the gate gives; beam without a permit is for the room's interlock. */
+function wordOf({ gate, hold_reason: code, accelerator_beam: beam }) {
+  if (gate === "fault" && code === INTERLOCK) return tr("gate_state.interlock");
+  return gate === "beam_on" && beam !== "on" ? tr("gate_state.permitted") : WORDS[gate];
 }
 
 /** Why the gate is in its state, from its code. */
@@ -91,7 +99,7 @@ function adviceOf(message) {
   const { gate, hold_reason: code } = message;
   const move = gate === "disarmed" ? roomMoveOf(message) : null;
   if (move !== null) return { toDo: tr(`moved.${move.what}.what`, move), call: "" };
-  if (gate === "beam_on" || (gate === "dwell" && !code)) return { toDo: tr("state.beam_on.do"), call: tr("hold.outside_window.call") };
+  if (gate === "beam_on" || (gate === "dwell" && !code)) return { toDo: tr("state.beam_on.do"), call: "" };
   return adviceFor(code);
 }
 

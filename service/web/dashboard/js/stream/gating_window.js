@@ -38,6 +38,11 @@ export function hasEdges(condition) {
   return condition.unit !== "percent" && Number.isFinite(condition.lower) && Number.isFinite(condition.upper);
 }
 
+/** Whether a breath hold waits for the level of a breath that was held. */
+export function awaitsLevel(window) {
+  return conditionsOf(window).some((one) => one.kind === "breath_hold" && !Number.isFinite(one.lower));
+}
+
 /** Short description of the conditions, with their edges if they are wanted and known. */
 export function describe(window, hasEdgesToo = false) {
   const join = window?.join === "or" ? tr("signal.or") : tr("signal.and");

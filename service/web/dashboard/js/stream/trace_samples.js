@@ -44,6 +44,16 @@ export class TraceSamples {
     return t;
   }
 
+  /** Put recorded samples of the same zero before the first one; `window` is the present one, whose signal is drawn. */
+  putBefore(messages, window) {
+    const [first] = this.all;
+    const older = messages.map((one) => sampleOf({ ...one, window }, one.timestamp_us / 1e6, first.arrivedMs)).filter(({ t }) => t < first.t && t > first.t - KEPT_S);
+    for (const [i, one] of older.entries()) one.isJoined = i > 0 && one.t - older[i - 1].t <= JOIN_S;
+    this.all.unshift(...older);
+    this.times.unshift(...older.map(({ t }) => t));
+    for (const name of SIGNALS) this.values[name].unshift(...older.map((one) => (Number.isFinite(one[name]) ? one[name] : null)));
+  }
+
   /** Another reference is another zero: the samples before it are not joined with those after it. */
   #noteZero(message, t) {
     const zero = message.position_check?.reference_number ?? null;

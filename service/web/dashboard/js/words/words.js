@@ -5,11 +5,15 @@
  * language lacks is shown in English and marked; one that no language has, as its key. No text is ever empty for that.
  */
 
+import { inMark } from "../drawing/numbers.js";
+
 const FOLDER = new URL("../../lang/", import.meta.url);
 const STORED = "tidegate.language";
 const FALLBACK = "en";
 const RETRY_MS = 1000;
 const MARK = "[en] ";
+/** A decimal number, with its unit or without: no address and no version. */
+const MEASURE = /^[+-]?\d+\.\d+( ?[a-z%°²/]+)?$/i;
 
 export const LANGUAGES = await load();
 /** The language of this page: it changes with the next load only. */
@@ -82,7 +86,7 @@ export function inLanguage(text, depth = 0) {
 
 /** A value of a sentence: a number, a sentence, a word or a code that has words, or a name as it is. */
 function valueOf(text, depth) {
-  if (/^[+-]?\d/.test(text) && !sentences.has(text)) return text.replace(/^-/, "−");
+  if (/^[+-]?\d/.test(text) && !sentences.has(text)) return (MEASURE.test(text) ? inMark(text) : text).replace(/^-/, "−");
   return inLanguage(text, depth) ?? (has(`hold.${text}.what`) ? tr(`hold.${text}.what`).replace(/\.$/, "") : text);
 }
 

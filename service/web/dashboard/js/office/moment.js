@@ -6,13 +6,13 @@
  */
 
 import { readMoment } from "../api.js";
-import { colorOf, stepFor } from "../drawing/color_scale.js";
-import { byId, setText } from "../drawing/elements.js";
-import { signed } from "../drawing/numbers.js";
+import { colorOf } from "../drawing/color_scale.js";
+import { byId, part, setText } from "../drawing/elements.js";
+import { fixed, signed } from "../drawing/numbers.js";
 import { INK } from "../drawing/canvas.js";
 import { shortReason } from "../words/reasons.js";
 import { tr } from "../words/words.js";
-import { GridPanel } from "./motion_map.js";
+import { GridPanel } from "../panels/motion_map.js";
 
 const FIELD_DEG = 30;
 /** From where the surface is looked at first: obliquely from the patient's left and from below [rad]. */
@@ -20,53 +20,52 @@ const FIRST_TURN = { azimuth: 0.5, height: 0.6 };
 const TURN_PER_PX = 0.01;
 const TURN_PER_KEY = 0.15;
 const STEEPEST = 1.5;
+/** What stands beside the surface: its sides, and a bar that shows its scale. */
+const LABELS = [tr("review.head"), "R", "L", "5 cm"];
+const BAR_MM = 50;
+const BESIDE_MM = 25;
 
 export class Moment {
-  /** @param {(t: number) => string} clock time of day of a time since the first frame [s] */
-  constructor(clock) {
-    this.clock = clock;
+  /**
+   * @param {(t: number) => string} clock time of day of a time since the first frame [s]
+   * @param {() => void} onFound called when another moment is shown: `found` has its values
+   */
+  constructor(id, clock, onFound) {
+    /** `rangeMm`: motion at the ends of the colours, the same for all moments. */
+    Object.assign(this, { id, clock, onFound, rangeMm: 5, found: null, wanted: null, isReading: false });
     this.root = byId("review-moment");
     this.frame = byId("review-surface");
     this.grid = new GridPanel(byId("review-grid"), byId("review-legend"), byId("review-readout"));
     this.turn = { ...FIRST_TURN };
     /** What draws in the frame, once it was needed: a promise, null without WebGL. */
     this.three = null;
-    this.forget();
     this.frame.addEventListener("pointermove", (event) => {
       if (event.buttons === 1) this.#turn(TURN_PER_PX * event.movementX, TURN_PER_PX * event.movementY);
     });
     this.frame.addEventListener("keydown", (event) => this.#key(event));
+    this.frame.addEventListener("dblclick", () => this.#reset());
     for (const event of ["pointermove", "pointerleave"]) byId("review-grid").addEventListener(event, () => this.#drawCells());
     new ResizeObserver(() => this.draw()).observe(this.frame);
   }
 
-  forget() {
-    Object.assign(this, { id: null, found: null, wanted: null, isReading: false });
-    this.root.hidden = true;
-    setText(byId("review-moment-text"), "");
-    this.three?.then((made) => made?.clear());
-  }
-
   /** Show the moment nearest to a time since the session's first frame [s]; of several wanted at once the last one. */
-  async show(id, atS) {
-    if (id !== this.id) this.forget();
-    this.id = id;
+  async show(atS) {
     this.wanted = atS;
     if (this.isReading) return;
     this.isReading = true;
-    while (this.wanted !== null && this.id === id) {
+    while (this.wanted !== null && this.frame.isConnected) {
       const at = this.wanted;
       this.wanted = null;
       try {
-        const found = await readMoment(id, at);
-        if (this.id !== id) return;
-        this.found = found;
+        this.found = await readMoment(this.id, at);
+        if (!this.frame.isConnected) return;
+        this.onFound();
         await this.draw();
       } catch (error) {
-        if (this.id === id) setText(byId("review-moment-text"), error.message);
+        if (this.frame.isConnected) setText(byId("review-moment-text"), error.message);
       }
     }
-    if (this.id === id) this.isReading = false;
+    this.isReading = false;
   }
 
   async draw() {
@@ -84,22 +83,18 @@ export class Moment {
     this.three ??= drawn(this.frame);
     const made = await this.three;
     if (made === null) setText(byId("review-surface-note"), tr("review.no_webgl"));
-    else if (this.found !== null) made.draw(this.found, this.#rangeMm(), this.turn);
+    else made.draw(this.found, this.rangeMm, this.turn);
   }
 
   #text() {
     const { at_s: at, gate, hold_reason: reason, whole_mm: whole, thorax_mm: thorax, abdomen_mm: abdomen } = this.found;
     const values = { whole, thorax, abdomen };
     const motion = Object.entries(values).map(([name, mm]) => `${tr(`page.${name}`)} ${mm === null ? "–" : `${signed(mm)} mm`}`);
-    return [this.clock(at), `${at.toFixed(2)} s`, gate === "beam_on" ? tr("review.beam_on") : shortReason(reason ?? gate), ...motion].join(" · ");
-  }
-
-  #rangeMm() {
-    return stepFor(Math.max(5, ...this.found.cells_mm.flat().filter(Number.isFinite).map(Math.abs)));
+    return [this.clock(at), `${fixed(at, 2)} s`, gate === "beam_on" ? tr("review.beam_on") : shortReason(reason ?? gate), ...motion].join(" · ");
   }
 
   #drawCells() {
-    if (this.found !== null) this.grid.draw(this.found.cells_mm, this.#rangeMm(), null, []);
+    if (this.found !== null) this.grid.draw(this.found.cells_mm, this.rangeMm, null, []);
   }
 
   #turn(azimuth, height) {
@@ -108,7 +103,13 @@ export class Moment {
     this.draw();
   }
 
+  #reset() {
+    Object.assign(this.turn, FIRST_TURN);
+    this.draw();
+  }
+
   #key(event) {
+    if (event.key === "Home") this.#reset();
     const turns = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
     const turn = turns[event.key];
     if (turn === undefined || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -126,6 +127,8 @@ async function drawn(frame) {
   const renderer = new THREE.WebGLRenderer({ canvas, context });
   renderer.setClearColor(0x000000, 0);
   frame.append(canvas);
+  const labels = LABELS.map((text) => part("span", text, "side"));
+  frame.append(...labels);
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(FIELD_DEG, 1, 10, 10_000);
   const lamp = new THREE.DirectionalLight(0xffffff, 1.6);
@@ -148,7 +151,7 @@ async function drawn(frame) {
     renderer.setSize(width, height, false);
     const box = new THREE.Box3().setFromObject(shown);
     const middle = box.getCenter(new THREE.Vector3());
-    const away = box.getSize(new THREE.Vector3()).length() / 2 / Math.sin((FIELD_DEG * Math.PI) / 360);
+    const away = box.getSize(new THREE.Vector3()).length() / 2.4 / Math.sin((FIELD_DEG * Math.PI) / 360);
     camera.aspect = width / height;
     camera.up.set(0, Math.cos(turn.height), Math.sin(turn.height));
     camera.position.set(Math.sin(turn.azimuth) * Math.cos(turn.height), -Math.sin(turn.height), Math.cos(turn.azimuth) * Math.cos(turn.height)).multiplyScalar(away).add(middle);
@@ -156,6 +159,11 @@ async function drawn(frame) {
     lamp.position.copy(camera.position).sub(middle);
     camera.updateProjectionMatrix();
     renderer.render(scene, camera);
+    shown.updateMatrixWorld();
+    shown.userData.places.forEach((at, i) => {
+      const on = shown.localToWorld(new THREE.Vector3(...at)).project(camera);
+      Object.assign(labels[i].style, { left: `${50 * (1 + on.x)}%`, top: `${50 * (1 - on.y)}%` });
+    });
   };
   return { draw, clear };
 }
@@ -190,13 +198,33 @@ function surface(THREE, nodes, cells, rangeMm) {
   geometry.setAttribute("position", new THREE.Float32BufferAttribute(points, 3));
   geometry.setAttribute("color", new THREE.Float32BufferAttribute(colors, 3));
   geometry.computeVertexNormals();
+  const places = sides(at, nodes);
+  const [x, y, z] = places[3];
+  edges.push(x - BAR_MM / 2, y + BESIDE_MM / 2, z, x + BAR_MM / 2, y + BESIDE_MM / 2, z);
   const lines = new THREE.BufferGeometry();
   lines.setAttribute("position", new THREE.Float32BufferAttribute(edges, 3));
   const group = new THREE.Group();
   group.rotation.z = uprightTurn(nodes);
+  group.userData.places = places;
   group.add(
     new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 })),
     new THREE.LineSegments(lines, new THREE.LineBasicMaterial({ color: INK.faint, transparent: true, opacity: 0.35 })),
   );
   return group;
+}
+
+/** Where the labels stand: beyond the first row, the first and the last column of the middle, and below the last row. */
+function sides(at, nodes) {
+  const known = (all) => all.filter((one) => one !== null);
+  const mean = (all) => [0, 1, 2].map((axis) => all.reduce((sum, one) => sum + one[axis], 0) / Math.max(all.length, 1));
+  const row = (r) => known(nodes[r].map((_, c) => at(r, c)));
+  const rows = nodes.map((_, r) => row(r)).filter((one) => one.length > 0);
+  const middle = rows[Math.floor(rows.length / 2)];
+  const centre = mean(rows.flat());
+  const beyond = (point) => {
+    const away = point.map((value, axis) => value - centre[axis]);
+    const length = Math.hypot(away[0], away[1]) || 1;
+    return [point[0] + (BESIDE_MM * away[0]) / length, point[1] + (BESIDE_MM * away[1]) / length, point[2]];
+  };
+  return [mean(rows[0]), middle[0], middle.at(-1), mean(rows.at(-1))].map(beyond);
 }
