@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from service.core.permissions import Role
 from tests.support.browser.accessibility import tint
@@ -151,6 +151,26 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     noted, signed = (body for path, body in fake.posts() if path.endswith(("/note", "/signature")))
     assert (signed["meaning"], signed["password"]) == ("checked", PASSWORD)
     assert noted["content_sha256"] == signed["content_sha256"] == fake.report["content_sha256"]
+
+
+def test_the_button_that_signs_stays_where_it_is_whatever_arrives_after_it(fake: FakeService, tab: Tab):
+    other = NEWEST | {"id": OLDER["id"]}
+    fake.sessions[:] = [NEWEST, other]
+    page = tab.page
+    held: list[Route] = []
+    page.route("**/moment?*", lambda route: held.append(route))
+    page.route(f"**/{other['id']}/report*", lambda route: held.append(route))
+    page.goto(f"{tab.url}/office/#session/{NEWEST['id']}")
+    button = page.get_by_role("button", name="Sign report")
+    expect(button).to_be_visible()
+    eventually(lambda: page.wait_for_timeout(20) or len(held) == 2)
+    at = button.bounding_box()
+    for route in held:
+        route.continue_()
+    expect(page.locator("#review-fractions tbody tr")).to_have_count(2)
+    expect(page.locator("#review-moment-text")).not_to_have_text("")
+    expect(page.locator("#review-surface-note")).not_to_have_text("")
+    assert button.bounding_box() == at
 
 
 def test_who_may_not_sign_has_no_form_and_a_refusal_is_said(fake: FakeService, tab: Tab):

@@ -51,6 +51,7 @@ export class Moment {
   /** Show the moment nearest to a time since the session's first frame [s]; of several wanted at once the last one. */
   async show(atS) {
     this.wanted = atS;
+    this.root.hidden = false;
     if (this.isReading) return;
     this.isReading = true;
     while (this.wanted !== null && this.frame.isConnected) {
@@ -71,7 +72,6 @@ export class Moment {
   async draw() {
     const { found } = this;
     if (found === null) return;
-    this.root.hidden = false;
     setText(byId("review-moment-text"), this.#text());
     this.#drawCells();
     const hasSurface = found.surface_mm.length > 0;

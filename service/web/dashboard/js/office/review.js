@@ -68,16 +68,16 @@ class Review {
       this.endS = trace.end_s;
       this.startMs = Date.parse(trace.first_at ?? report.session.started_at);
       this.#figures(report);
-      this.#signatures(report);
       const isEmpty = trace.times_s.length === 0;
       setText(byId("review-note"), isEmpty ? tr("review.no_samples") : "");
-      if (isEmpty) return;
+      if (isEmpty) { this.#signatures(report); return; }
       this.trace = drawable(trace, 0, trace.end_s);
       this.moment.rangeMm = stepFor(Math.max(2, ...Object.values(this.trace.values).flat().map(Math.abs)));
       const { signal } = report.session.window;
       if (SIGNALS.has(signal)) byId("review-signal").value = signal;
       this.#look(...(range ?? [0, this.endS]));
       this.moment.show((this.range[0] + this.range[1]) / 2);
+      this.#signatures(report); // with the place above it taken: what is clicked does not move
       this.#fractions(report);
     } catch (error) {
       if (!this.ended.aborted) setText(byId("review-note"), tr("review.not_read", { message: error.message }));
