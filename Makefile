@@ -135,7 +135,7 @@ documents: $(STAMP)  ## write every part of the documents, of the client and of 
 docs-figures: $(STAMP)  ## measure each kind of breathing and each falsification on both sensors (an hour) and write the figures into the documents
 	$(BIN)/tidegate evaluate --accuracy --out build/figures
 	$(BIN)/tidegate evaluate budget --scenario regular --scenario isovolume --out build/figures
-	$(BIN)/tidegate evaluate integrity --slow --out build/figures
+	$(BIN)/tidegate evaluate integrity --slow --in-turn --out build/figures
 	$(BIN)/python -m tests.support.documents.figures build/figures
 
 docs: $(STAMP)  ## the documentation as a site, build/docs/index.html

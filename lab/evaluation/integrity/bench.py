@@ -52,10 +52,12 @@ def run_all(
     seed: int,
     jobs: int,
     sensor: str = USUAL,
+    turn: int | None = None,
     on_done: Callable[[int], None] = lambda _done: None,
 ) -> list[list[Session]]:
     """Run every case on every volunteer; return the sessions of each case, in its order.
 
+    With a ``turn`` each case has one volunteer: the first case that of this number, and so on in turn.
     ``on_done`` is called with the number of finished jobs: one to learn each model, and one for each session.
 
     Raises
@@ -87,7 +89,11 @@ def run_all(
             pool,
             on_done,
         )
-        pairs = [(number, volunteer) for number, case in enumerate(cases) for volunteer in _fitting(learned, case)]
+        pairs = [
+            (number, volunteer)
+            for number, case in enumerate(cases)
+            for volunteer in _taken(_fitting(learned, case), None if turn is None else turn + number)
+        ]
         sessions = _collect(
             [partial(run, volunteer, cases[number]) for number, volunteer in pairs],
             pool,
@@ -119,9 +125,10 @@ def _prepare_worker() -> None:
     end_with_the_pool()
 
 
-def jobs_of(cases: Sequence[Case], volunteers: Sequence[int]) -> int:
+def jobs_of(cases: Sequence[Case], volunteers: Sequence[int], *, takes_turns: bool = False) -> int:
     """Return the number of jobs that `run_all` counts."""
-    return len(volunteers) * (len({_pose(case) for case in cases}) + len(cases))
+    each = 1 if takes_turns else len(volunteers)
+    return len(volunteers) * len({_pose(case) for case in cases}) + each * len(cases)
 
 
 def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None, Departure]:
@@ -131,6 +138,10 @@ def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None, Departure]:
 
 def _fitting(learned: Sequence[Volunteer], case: Case) -> list[Volunteer]:
     return [volunteer for volunteer in learned if _pose(volunteer) == _pose(case)]
+
+
+def _taken(volunteers: list[Volunteer], turn: int | None) -> list[Volunteer]:
+    return volunteers if turn is None else [volunteers[turn % len(volunteers)]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,8 @@
 import csv
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -66,6 +68,24 @@ def test_the_table_has_a_row_a_case_and_strict_fails_on_errors(tmp_path, monkeyp
     }
     assert {row["largest error [mm]"] for row in rows} == {"2.0"}
     assert called(*words, "--strict").exit_code == 1
+
+
+def test_in_turn_each_case_has_one_volunteer_and_the_next_sensor_the_other(tmp_path, monkeypatch):
+    tried = []
+
+    def run(volunteer, case):
+        tried.append((case.size, volunteer.number))
+        return wrong(case)
+
+    monkeypatch.setattr(bench, "ProcessPoolExecutor", lambda _jobs, **_options: ThreadPoolExecutor(1))
+    monkeypatch.setattr(bench, "learn", lambda number, _seed, **pose: SimpleNamespace(number=number, **pose))
+    monkeypatch.setattr(bench, "run", run)
+    words = ["--out", tmp_path, "--kind", "marker hidden, ", "--jobs", 1]
+    assert called(*words, "--in-turn").exit_code == 0
+    assert tried == [("0.7 s", 3), ("3 s", 6), ("0.7 s", 6), ("3 s", 3)]
+    tried.clear()
+    assert called(*words).exit_code == 0
+    assert len(tried) == 8
 
 
 @pytest.mark.slow

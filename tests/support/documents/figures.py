@@ -1,9 +1,9 @@
 """Figures in docs/5-evidence/evaluation.md: ``python -m tests.support.documents.figures REPORT`` writes them.
 
 ``REPORT`` is a folder that ``tidegate evaluate --accuracy``, ``tidegate evaluate budget`` and ``tidegate evaluate
-integrity --slow`` have written at this commit; ``make docs-figures`` runs all of them. Each part names the commit and a
-fingerprint of the code that its figures depend on: `stale` compares it, and a release with figures of other code is
-refused.
+integrity --slow --in-turn`` have written at this commit; ``make docs-figures`` runs all of them. Each part names the
+commit and a fingerprint of the code that its figures depend on: `stale` compares it, and a release with figures of
+other code is refused.
 """
 
 import csv
@@ -104,8 +104,8 @@ def integrity(report: Path, commit: str) -> str:
     missed = [name for name in names if any(found[sensor][name].misses for sensor in BENCHED)]
     outside_s = max(case.on_outside_s for cases in found.values() for case in cases.values())
     said = (
-        f"`tidegate evaluate integrity --slow` printed at commit {commit}, code `{code_of('integrity')}`: of "
-        f"{len(names)} falsifications and honest recordings {len(names) - len(missed)} meet every target on both "
+        f"`tidegate evaluate integrity --slow --in-turn` printed at commit {commit}, code `{code_of('integrity')}`: "
+        f"of {len(names)} falsifications and honest recordings {len(names) - len(missed)} meet every target on both "
         "sensors. The beam was on with the true motion more than 1 mm outside of the window for at most "
         f"{outside_s:.2f} s. The others: frames measured [%]; longest time with an error above 1 mm [s]; largest "
         "error [mm]; named after [s]."
@@ -120,8 +120,8 @@ def hazards(report: Path, commit: str) -> str:
     found = {sensor: list(_cases(report / f"integrity_{sensor}.csv").values()) for sensor in BENCHED}
     names = sorted({case.hazard for cases in found.values() for case in cases if case.hazard})
     said = (
-        f"`tidegate evaluate integrity --slow` printed at commit {commit}, code `{code_of('integrity')}`: of the "
-        "falsifications of each hazard those that meet every target; longest time with an error above 1 mm as measured "
+        f"`tidegate evaluate integrity --slow --in-turn` printed at commit {commit}, code `{code_of('integrity')}`: "
+        "of the falsifications of each hazard those that meet every target; longest time with an error above 1 mm as measured "
         "[s]; beam on with the true motion more than 1 mm outside of the window [s]."
     )
     rows = []

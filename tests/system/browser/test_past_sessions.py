@@ -158,8 +158,12 @@ def test_the_button_that_signs_stays_where_it_is_whatever_arrives_after_it(fake:
     fake.sessions[:] = [NEWEST, other]
     page = tab.page
     held: list[Route] = []
-    page.route("**/moment?*", lambda route: held.append(route))
-    page.route(f"**/{other['id']}/report*", lambda route: held.append(route))
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/moment?*", hold)
+    page.route(f"**/{other['id']}/report*", hold)
     page.goto(f"{tab.url}/office/#session/{NEWEST['id']}")
     button = page.get_by_role("button", name="Sign report")
     expect(button).to_be_visible()
