@@ -121,8 +121,8 @@ def hazards(report: Path, commit: str) -> str:
     names = sorted({case.hazard for cases in found.values() for case in cases if case.hazard})
     said = (
         f"`tidegate evaluate integrity --slow --in-turn` printed at commit {commit}, code `{code_of('integrity')}`: "
-        "of the falsifications of each hazard those that meet every target; longest time with an error above 1 mm as measured "
-        "[s]; beam on with the true motion more than 1 mm outside of the window [s]."
+        "of the falsifications of each hazard those that meet every target; longest time with an error above 1 mm as "
+        "measured [s]; beam on with the true motion more than 1 mm outside of the window [s]."
     )
     rows = []
     for name in names:
