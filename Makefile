@@ -168,6 +168,7 @@ lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(PIP_COMPILE) --extra realsense -c requirements.lock -o requirements-cameras.lock pyproject.toml
 	echo matplotlib | $(PIP_COMPILE) -c requirements.lock --unsafe-package numpy -o requirements-lab.lock -
 	$(PIP_COMPILE) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	printf 'furo\nmyst-parser\nsphinx\n' | $(PIP_COMPILE) -c requirements-dev.lock -o requirements-docs.lock -
 	$(PIP_COMPILE) -o tests/client_generator.lock tests/client_generator.in
 clean:  ## remove what was built, keep recordings
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis mutants

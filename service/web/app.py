@@ -57,6 +57,7 @@ from service.web.dependencies import guarded, require_json
 from service.web.middleware.guard import Guard
 from service.web.middleware.request_log import Arrival, RequestLog
 from service.web.middleware.requests import (
+    DOCS,
     MAX_BODY_BYTES,
     MAX_PLAN_BYTES,
     RequestMiddleware,
@@ -172,12 +173,17 @@ def language_names(dashboard: Path) -> list[str]:
     return sorted(file.stem for file in (dashboard / "lang").glob("*.json") if _NAME.fullmatch(file.stem))
 
 
+def has_docs(dashboard: Path) -> bool:
+    """Return whether the documentation is served beside the page."""
+    return (dashboard / DOCS[1:] / "index.html").is_file()
+
+
 def language_route(dashboard: Path) -> Route:
-    """Make the route that lists the languages to the page."""
-    names = language_names(dashboard)
+    """Make the route that lists the languages to the page, and says whether there is documentation."""
+    answer = {"languages": language_names(dashboard), "has_docs": has_docs(dashboard)}
 
     async def listed(_: object) -> Response:
-        return JSONResponse({"languages": names})
+        return JSONResponse(answer)
 
     return Route(LANGUAGE_LIST, listed, name="languages")
 
@@ -278,6 +284,6 @@ def _api_routes() -> tuple[BaseRoute, ...]:
 def _page_files() -> frozenset[str]:
     """Return the paths of the page's files, listed once per process: no data, and all that is read without a rule."""
     found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
-    return frozenset(
-        {"/", LANGUAGE_LIST, PATIENT, f"{PATIENT}/", OFFICE, f"{OFFICE}/", *(f"/{path}" for path in found)}
-    )
+    folders = (PATIENT, OFFICE, *((DOCS,) if has_docs(DASHBOARD) else ()))
+    pages = {path for folder in folders for path in (folder, f"{folder}/")}
+    return frozenset({"/", LANGUAGE_LIST, *pages, *(f"/{path}" for path in found)})

@@ -1,14 +1,18 @@
 """The documentation as a site: built strictly, complete, searchable and without a network."""
 
+import inspect
 import json
 import re
+import shutil
 import subprocess
 import sys
 
 import pytest
+from starlette.testclient import TestClient
 
 import tidegate
 from service.core.settings.settings import Settings
+from service.web import app
 from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.verification
@@ -47,3 +51,24 @@ def test_nothing_is_loaded_from_elsewhere_and_search_is_local(site):
         text = page.read_text()
         assert re.findall(r'<(?:script|img|link)[^>]+(?:src|href)="(?:https?:)?//', text) == [], page
     assert "dwell" in (site / "searchindex.js").read_text()
+
+
+def test_where_it_was_built_in_the_service_serves_it_to_everybody(site, tmp_path, monkeypatch):
+    page = tmp_path / "dashboard"
+    shutil.copytree(app.DASHBOARD, page)
+    settings = Settings(data_dir=tmp_path / "data", allowed_hosts=("testserver",))
+    monkeypatch.setattr(app, "DASHBOARD", page)
+    monkeypatch.setattr(app, "_page_files", inspect.unwrap(app._page_files))  # otherwise listed once per process
+    without = TestClient(app.create_app(settings))
+    assert without.get("/lang/index.json").json()["has_docs"] is False
+    shutil.copytree(site, page / "docs")
+    shutil.copy(site / "README.html", page / "docs/index.html")
+    client = TestClient(app.create_app(settings))
+    assert client.get("/lang/index.json").json()["has_docs"] is True
+    answer = client.get("/docs")
+    assert (answer.status_code, "<h1>Documentation" in answer.text) == (200, True)
+    policy = answer.headers["Content-Security-Policy"]
+    assert "style-src 'self' 'unsafe-inline'" in policy
+    assert "script-src" not in policy  # as everywhere: the service's own files alone
+    assert client.get("/docs/2-clinical/safety.html").status_code == 200
+    assert "unsafe-inline" not in client.get("/").headers["Content-Security-Policy"]

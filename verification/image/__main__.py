@@ -196,6 +196,8 @@ def started(bench: Bench, container: Container, key: str) -> dict[str, object]:
     check = partial(_require_running, process, container.log)
     await_ready(f"https://{ADDRESS}:{PORT}", key, trusted, check)
     ready_s = time.monotonic() - container.started_s
+    with urllib.request.urlopen(f"https://{ADDRESS}:{PORT}/docs/", timeout=5.0, context=trusted) as page:
+        require(b"<h1>Documentation" in page.read(), "the documentation is not served")
     load = os.getloadavg()[0]
     note = "" if ready_s <= READY_S else f" (more than {READY_S:g} s; load average {load:.1f})"
     return {"ready after": f"{ready_s:.1f} s{note}", "processor": f"{container.processor_s():.1f} s"}

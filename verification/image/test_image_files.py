@@ -8,7 +8,8 @@ import re
 
 import pytest
 
-from service.core.settings.names import OVERRIDES, PREFIX
+from service.core.settings.names import PREFIX
+from service.core.settings.settings import OVERRIDES  # filled as the settings are read
 from tests.support.repository import ROOT
 
 DOCKERFILE = (ROOT / "docker/Dockerfile").read_text()

@@ -43,6 +43,10 @@ SECURITY_HEADERS = {
     ),
     "X-Permitted-Cross-Domain-Policies": "none",
 }
+DOCS = "/docs"
+"""Address of the documentation: files of the image, where they were built into it."""
+DOCS_POLICY = f"{SECURITY_HEADERS['Content-Security-Policy']}; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
+"""The site's theme has styles and icons within its pages; scripts within a page stay forbidden there too."""
 MAY_HAVE_MORE = frozenset({"/login/oidc", "/login/oidc/return"})
 """Route of the identity provider's redirect, which may have any parameters."""
 PROBLEM = "application/problem+json"
@@ -88,7 +92,7 @@ class RequestMiddleware:
             await self._app(
                 scope,
                 _in_time(_bounded(scope, receive, most), self._max_body_s),
-                _with_headers(send),
+                _with_headers(send, scope),
             )
 
     async def _refuse_host(self, host: str, scope: Scope, receive: Receive, send: Send) -> None:
@@ -98,7 +102,7 @@ class RequestMiddleware:
             return
         bound = f"one of {', '.join(self._host_names)}"
         error = RefusedError(421, "This host name is not served", field="Host", value=host[:80], bound=bound)
-        await problem_response(problem_of(error))(scope, receive, _with_headers(send))
+        await problem_response(problem_of(error))(scope, receive, _with_headers(send, scope))
 
 
 def _in_one_line(scope: Scope, send: Send) -> Send:
@@ -172,12 +176,14 @@ def _too_large(value: str, max_bytes: int) -> RefusedError:
     return RefusedError(413, "The body is too large", field="body", value=value, bound=f"at most {max_bytes} bytes")
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, scope: Scope) -> Send:
     async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in SECURITY_HEADERS.items():
                 headers[name] = value
+            if scope["path"].startswith(f"{DOCS}/"):
+                headers["Content-Security-Policy"] = DOCS_POLICY
             headers.setdefault("Cache-Control", "no-cache")
         await send(message)
 

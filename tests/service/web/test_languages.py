@@ -162,4 +162,4 @@ def test_a_third_language_needs_a_file_and_nothing_else(tmp_path: Path):
     for name in ("en.json", "de.json", "fr.json", "notes.json", "pt-BR.json", "README.md"):
         (folder / name).write_text("{}")
     client = TestClient(Starlette(routes=[language_route(tmp_path)]))
-    assert client.get(LANGUAGE_LIST).json() == {"languages": ["de", "en", "fr", "pt-BR"]}
+    assert client.get(LANGUAGE_LIST).json() == {"languages": ["de", "en", "fr", "pt-BR"], "has_docs": False}

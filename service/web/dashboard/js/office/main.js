@@ -8,7 +8,7 @@ import { logOut, onRefusal, readMe } from "../api.js";
 import { byId, confirmButton, part, setText } from "../drawing/elements.js";
 import { offerThemes } from "../drawing/theme.js";
 import { rolesText } from "../people/permissions.js";
-import { tr } from "../words/words.js";
+import { hasDocs, tr } from "../words/words.js";
 import { auditRoom } from "./audit.js";
 import { contractRoom } from "./contract.js";
 import { machineRoom } from "./machine.js";
@@ -45,6 +45,7 @@ const leaving = confirmButton(tr("main.log_out"), tr("main.confirm_may_hold"), (
 byId("who").after(leaving);
 offerLanguages(byId("language"));
 offerThemes(byId("theme"));
+byId("documentation").hidden = !hasDocs;
 
 function permitted() {
   return Object.keys(ROOMS).filter((name) => person.permissions.includes(ROOMS[name][0]));

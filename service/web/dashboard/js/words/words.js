@@ -15,6 +15,8 @@ const MARK = "[en] ";
 /** A decimal number, with its unit or without: no address and no version. */
 const MEASURE = /^[+-]?\d+\.\d+( ?[a-z%°²/]+)?$/i;
 
+/** Whether the documentation is served beside the page. */
+export let hasDocs = false;
 export const LANGUAGES = await load();
 /** The language of this page: it changes with the next load only. */
 export const LANGUAGE = chosen();
@@ -23,7 +25,8 @@ export const LANGUAGE = chosen();
 async function load() {
   for (;;) {
     try {
-      const names = (await read("index.json")).languages;
+      const { languages: names, has_docs: isThere } = await read("index.json");
+      hasDocs = isThere === true;
       const found = await Promise.all(names.map(async (name) => [name, await read(`${name}.json`).catch(() => null)]));
       const languages = Object.fromEntries(found.filter(([, words]) => words !== null));
       if (FALLBACK in languages) return languages;
