@@ -77,7 +77,7 @@ OTHERS = $(MAKE) --no-print-directory --keep-going $(1) >build/check.log 2>&1 & 
 THEIRS = wait $$others || failed+=" lint-types-contracts"; cat build/check.log; [ ! "$$failed" ] || { echo "FAILED:$$failed"; exit 1; }
 
 check: $(STAMP)  ## two minutes, no system packages: lint, types, contracts and the fast tests of every package
-	@mkdir -p build; failed=; $(call OTHERS,lint types contracts); $(MAKE) --no-print-directory check-tests || failed=" tests"; $(THEIRS)
+	@mkdir -p build; failed=; $(call OTHERS,lint types contracts); $(MAKE) --no-print-directory check-tests || failed=" tests"; $(BIN)/python -m tests.support.documents.ages; $(THEIRS)
 
 check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10

@@ -11,6 +11,15 @@ import reference  # noqa: E402
 
 from engine import __version__  # noqa: E402
 
+try:
+    from tests.support.documents.ages import with_ages
+except ImportError:  # no checkout, as in the image's build
+
+    def with_ages(text: str) -> str:
+        """Return a page as it is: without the history the age of figures is not known."""
+        return text
+
+
 project, author, release = "Tidegate", "Tidegate", __version__
 copyright = "Tidegate, Apache-2.0"  # noqa: A001 - Sphinx's name
 root_doc = "README"
@@ -69,7 +78,7 @@ def setup(app: object) -> None:
     """Prepare each page as it is read."""
 
     def read(_app: object, name: str, source: list[str]) -> None:
-        source[0] = _within(f"{name}.md", source[0])
+        source[0] = with_ages(_within(f"{name}.md", source[0]))
         if name == root_doc:
             source[0] = _with_contents(source[0])
         if name in MADE:

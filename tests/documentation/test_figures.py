@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from tests.support.documents import ages
 from tests.support.documents.figures import (
     CODE,
     DOCUMENT,
@@ -88,3 +89,13 @@ def test_the_page_has_both_sensors():
     part = part_of((ROOT / DOCUMENT).read_text(encoding="utf-8"), "accuracy")
     rows = [line.split("|")[1].split(",")[0].strip() for line in part.splitlines() if line.startswith("| ")][2:]
     assert set(rows) == {"usual", "locking"}
+
+
+def test_a_page_states_the_age_of_old_figures(monkeypatch):
+    since = {"22ffe73": 508, "3047e4dd": ages.OLD - 1, "abcdef01": None}
+    monkeypatch.setattr(ages, "commits_since", since.get)
+    assert ages.with_ages("printed at commit 22ffe73 (mm)") == "printed at commit 22ffe73 (**508 commits ago**) (mm)"
+    for young in ("At 3047e4dd, 20 runs", "at commit abcdef01", "of decades, at 1234567890123456"):
+        assert ages.with_ages(young) == young
+    named = [line for line in ages.old() if line.startswith("docs/5-evidence/speed.md")]
+    assert named == ["docs/5-evidence/speed.md: figures of 22ffe73, 508 commits ago"]
