@@ -18,6 +18,7 @@ TEST_MODULE = re.compile(r"^(?:tests|verification)(\.\w+)*\.(test_\w+|conftest)$
 PRODUCT = sorted(path for name in ("engine", "service", "lab") for path in (ROOT / name).rglob("*.py"))
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 BUDGETS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["tidegate"]
+MOST_WORDS_OF_A_DECISION = 450
 NAMED_PATH = re.compile(r"(?<![\w./-])(?:tests|verification)/[\w/]+(?:\.\w+)?")
 
 
@@ -190,6 +191,11 @@ def words_of(folder: str) -> int:
 def test_code_is_within_its_budget(folder):
     """A budget is raised only in a change whose ADR says what was taken out for it."""
     assert lines_of(folder) <= BUDGETS["lines"][folder]
+
+
+@pytest.mark.parametrize("decision", sorted((ROOT / "docs/adr").glob("0*.md")), ids=lambda path: path.name[:4])
+def test_a_decision_is_a_page_at_most(decision):
+    assert len(decision.read_text(encoding="utf-8").split()) <= MOST_WORDS_OF_A_DECISION
 
 
 @pytest.mark.parametrize("folder", BUDGETS["words"])
