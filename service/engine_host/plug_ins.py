@@ -19,6 +19,11 @@ def use_plug_ins(settings: BeamSettings) -> tuple[PlugIn, ...]:
     return _used(None if allowed is None else tuple(sorted(allowed.items())), settings.beam_plug_in.partition(":")[0])
 
 
+def described(plug_in: PlugIn) -> str:
+    """Return a plug-in's distribution, version, name and hash in one phrase."""
+    return f"{plug_in.label}: {plug_in.name}={plug_in.sha256}"
+
+
 @cache  # what was found at the start holds for the process
 def _used(allowed: tuple[tuple[str, str], ...] | None, beam_line: str) -> tuple[PlugIn, ...]:
     listed = None if allowed is None else dict(allowed)

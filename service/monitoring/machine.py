@@ -12,6 +12,7 @@ from engine.offline.replay import METHOD
 from service.core.schemas.base import Machine, MachineSetting, Readiness
 from service.core.settings.names import place_of, setting_name
 from service.core.settings.settings import Settings, sources
+from service.engine_host.plug_ins import described, use_plug_ins
 from service.monitoring.certificate import ServedCertificate
 from service.storage.audit.check import redacted_settings
 
@@ -43,6 +44,7 @@ class MachineDescription:
             disk_total_mb=disk.total // MIB,
             backup_at=self.backup_at(),
             certificate_ends_at=None if self.certificate is None else self.certificate.ends_at,
+            plug_ins=list(map(described, use_plug_ins(self.settings))),
             readiness=self.readiness(),
             settings=self._settings(),
         )

@@ -12,7 +12,7 @@ from service.access.oidc.service import OidcService
 from service.access.service import AccessService, open_access
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
-from service.engine_host.plug_ins import use_plug_ins
+from service.engine_host.plug_ins import described, use_plug_ins
 from service.engine_host.protocols import EnginePort
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
@@ -333,5 +333,5 @@ def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, 
         "is_simulated_beam": dependencies.engine.is_simulated_beam,
         "hardware_dead_man": dependencies.settings.hardware_dead_man,
         "journal_folder": str(journals.folder),
-        "plug_ins": [f"{one.label}: {one.name}={one.sha256}" for one in use_plug_ins(dependencies.settings)],
+        "plug_ins": list(map(described, use_plug_ins(dependencies.settings))),
     }

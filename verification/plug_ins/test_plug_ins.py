@@ -76,6 +76,7 @@ def test_a_session_runs_on_both_and_a_killed_service_leaves_no_beam_on(environme
             assert [one["uri"] for one in devices.get("items", [])] == ["loop:1"], devices
             assert devices["kinds"][0]["plug_in"] == "tidegate-loop 0.1.0"
             (start,) = audit_rows(client, "service.start")
+            assert client.get("/api/v1/machine").json()["plug_ins"] == start["detail"]["plug_ins"]
             assert [one.split("=")[0] for one in start["detail"]["plug_ins"]] == [
                 "tidegate-loop 0.1.0: loop",
                 "tidegate-text-line 0.1.0: text",

@@ -173,6 +173,7 @@ class Machine(Answer):
     disk_total_mb: int
     backup_at: AwareDatetime | None = Field(description="When `tidegate backup` last made one; null if never")
     certificate_ends_at: AwareDatetime | None = Field(description="null where the service does not terminate TLS")
+    plug_ins: list[str] = Field(description="Cameras and beam lines of other distributions: version, name, SHA-256")
     readiness: Readiness
     settings: list[MachineSetting] = Field(description="Section by section, each in alphabetical order")
 

@@ -57,6 +57,7 @@ MACHINE = {
     "now": "2026-11-24T07:30:00Z",
     "disk_free_mb": 2048,
     "disk_total_mb": 4096,
+    "plug_ins": ["acme-cameras 1.2: acme=0f0f"],
     "readiness": READY,
     "settings": SETTINGS,
 }
@@ -202,6 +203,7 @@ def test_a_check_is_drawn_with_its_limits_and_readable_as_numbers(office: Tab):
 
 def test_settings_of_the_site_come_first_and_secrets_stay_masked(office: Tab):
     page = opened(office, "machine")
+    expect(page.locator("dl")).to_contain_text("Plug-inacme-cameras 1.2: acme=0f0f")
     expect(page.locator("section > .wide tbody tr")).to_have_count(1)
     expect(page.locator("section > .wide tbody tr")).to_contain_text("TIDEGATE_PORT")
     expect(page.locator("dl")).to_contain_text("2.0 of 4.0 GB free")

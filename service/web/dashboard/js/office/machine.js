@@ -33,6 +33,7 @@ function facts(machine) {
     ["backup", machine.backup_at === null ? tr("office.no_backup") : `${localTime(machine.backup_at)} (${tr("office.hours", { hours: Math.floor((Date.parse(machine.now) - Date.parse(machine.backup_at)) / HOUR_MS) })})`],
     ["certificate", machine.certificate_ends_at === null ? tr("office.no_certificate") : tr("office.until", { at: localTime(machine.certificate_ends_at) })],
   ];
+  for (const one of machine.plug_ins) rows.push(["plug_in", one]);
   for (const [name, text] of rows) list.append(part("dt", tr(`office.${name}`)), part("dd", text));
   return section(tr("office.facts"), list);
 }
