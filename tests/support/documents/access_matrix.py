@@ -5,7 +5,6 @@ Run: ``python -m tests.support.documents.access_matrix --write``.
 
 from functools import partial
 
-from service.access.request.rules import PEOPLE_ONLY, RULES, Needs, Open
 from service.core.permissions import KEY_PERMISSIONS, MEANING, ROLE_PERMISSIONS, Permission, Role
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
@@ -23,20 +22,7 @@ def permissions_table() -> str:
     return "\n".join(lines)
 
 
-def matrix_table() -> str:
-    """Write what each call needs."""
-    lines = ["| call | needs |", "|---|---|"]
-    for (method, template), needs in RULES.items():
-        people_only = ", people only" if (method, template) in PEOPLE_ONLY else ""
-        lines.append(f"| `{method} {template}` | {_words(needs)}{people_only} |")
-    return "\n".join(lines)
-
-
-def _words(needs: Needs) -> str:
-    return needs.value if isinstance(needs, Open) else f"`{needs}`"
-
-
-MADE = {"permissions": permissions_table, "matrix": matrix_table}
+MADE = {"permissions": permissions_table}
 """Every part of the document that the code makes, by its name there."""
 
 main = partial(print_or_write, DOCUMENT, MADE)
