@@ -66,7 +66,7 @@ openni:
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
 	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-relp postgresql curl jq \
-		nginx caddy libnss3-tools mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
+		nginx caddy libnss3-tools dcmtk dicom3tools orthanc mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Hundreds of services and engines are started here: each would compile the whole program anew.

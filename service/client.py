@@ -638,6 +638,7 @@ class Plan(TypedDict):
 
     approval: str | None
     beams: list[PlanBeam]
+    character_set: NotRequired[list[str]]
     contradicted: PlanContradiction | None
     created_at: str
     date: str | None
@@ -2187,6 +2188,15 @@ class TidegateClient:
     def export_report(self, session_id: str, to: str | Path) -> Exported:
         """Write the PDF report of a session that is over to a file."""
         return self._download(f"{_session(session_id)}/report.pdf", {}, Path(to))
+
+    def export_waveform(self, session_id: str, to: str | Path, *, deidentify_as: str | None = None) -> Exported:
+        """Write thorax and abdomen as a DICOM waveform to a file; de-identified under another Patient ID."""
+        query = {} if deidentify_as is None else {"deidentify_as": deidentify_as}
+        return self._download(f"{_session(session_id)}/waveform.dcm", query, Path(to))
+
+    def export_report_dicom(self, session_id: str, to: str | Path) -> Exported:
+        """Write the report as a DICOM Encapsulated PDF to a file."""
+        return self._download(f"{_session(session_id)}/report.dcm", {}, Path(to))
 
     def audit(
         self,

@@ -50,6 +50,7 @@ COMMANDS = {
         "service.cli.backup", "Restore a backup into an empty database and data folder, SQLite or PostgreSQL."
     ),
     "report": Command("service.cli.report", "Write the report of a session that is over, as PDF or HTML."),
+    "export": Command("service.cli.export", "Write a session for other systems: DICOM, and breathing for 4-D CT."),
     "replay": Command(
         "service.cli.replay", "Replay a stored session and compare every gate decision and sample with the original."
     ),

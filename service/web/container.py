@@ -34,6 +34,7 @@ from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
+from service.sessions.report.exports import SessionExports
 from service.sessions.report.reports import report_service
 from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
@@ -283,12 +284,14 @@ def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Ac
 
 def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monitoring: Monitoring) -> Services:
     settings, database, log = dependencies.settings, storage.database, storage.log
+    reports = report_service(database, storage.samples, settings)
     return Services(
         sessions=work.sessions,
         runner=work.runner,
         arming=work.arming,
         samples=SampleService(database, storage.samples),
-        reports=report_service(database, storage.samples, settings),
+        reports=reports,
+        exports=SessionExports(database, storage.samples, reports),
         traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),

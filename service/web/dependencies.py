@@ -31,6 +31,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
+from service.sessions.report.exports import SessionExports
 from service.sessions.report.reports import ReportService
 from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
@@ -77,6 +78,7 @@ class Services:
     arming: ArmingSummaries
     samples: SampleService
     reports: ReportService
+    exports: SessionExports
     traces: SessionTraces
     calibrations: CalibrationRepository
     recordings: RecordingList

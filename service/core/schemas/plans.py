@@ -88,6 +88,9 @@ class RtPlan(Answer):
     setups: list[PlanSetup]
     gating: Prescribed = Field(description=GATING_WORDS)
     notes: list[str] = Field(description="Notes for the person who imports the plan")
+    character_set: list[str] = Field(
+        default=[], description="Terms of Specific Character Set (0008,0005) in which names were read; empty is ASCII"
+    )
 
 
 class PlanContradiction(Answer):

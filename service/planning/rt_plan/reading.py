@@ -81,6 +81,7 @@ def read_plan(content: bytes) -> RtPlan:
         setups=setups,
         gating=gating,
         notes=[*_notes(intent, approval), *_gating_notes(remark(gating), setups), *_fraction_notes(groups)],
+        character_set=plan.character_terms,
     )
 
 

@@ -131,12 +131,13 @@ def _stored_row(db: Session, plan: RtPlan, sha256: str, operator: str) -> tuple[
 def _differing(row: PlanRow, plan: RtPlan) -> list[str]:
     """Return the names of differing fields; the bytes may differ, because archives rewrite files.
 
-    Positions are not compared with a plan that was stored before they were read.
+    Positions are not compared with a plan that was stored before they were read; how its text was coded never is.
     """
     stored = content(row)
     if not has_positions(row):
         plan = plan.model_copy(update={"setups": [one.model_copy(update={"position": None}) for one in plan.setups]})
-    return [name for name in RtPlan.model_fields if getattr(stored, name) != getattr(plan, name)]
+    compared = RtPlan.model_fields.keys() - {"character_set"}
+    return [name for name in RtPlan.model_fields if name in compared and getattr(stored, name) != getattr(plan, name)]
 
 
 def _is_only_approved(stored: RtPlan, plan: RtPlan, differing: list[str]) -> bool:

@@ -33,6 +33,14 @@ class Elements:
     place: str = ""
     encodings: tuple[str, ...] = NO_ENCODING
 
+    @property
+    def character_terms(self) -> list[str]:
+        """Terms of the character set; empty where none is declared."""
+        raw = self.values.get(Tag.CHARACTER_SET)
+        if not isinstance(raw, bytes) or not raw.strip(b" \0"):
+            return []
+        return [term.strip(" \0") for term in raw.decode("ascii", "replace").split("\\")]
+
     def items(self, tag: Tag, *, most: int) -> list["Elements"]:
         """Return a sequence's items, at most ``most``; empty if the element is missing."""
         found = self.values.get(tag, [])
@@ -155,12 +163,11 @@ def _piece(piece: bytes, encodings: Sequence[str]) -> str:
 def _elements(values: Item, place: str, around: tuple[str, ...]) -> Elements:
     """Return an item's elements; without its own character set it inherits that of its container (PS3.5, 7.5.3)."""
     outer = Elements(values=values, place=place, encodings=around)
-    raw = values.get(Tag.CHARACTER_SET)
-    if not isinstance(raw, bytes) or not raw.strip(b" \0"):
+    terms = outer.character_terms
+    if not terms:
         return outer
     from pydicom.charset import STAND_ALONE_ENCODINGS, python_encoding
 
-    terms = [term.strip(" \0") for term in raw.decode("ascii", "replace").split("\\")]
     unknown = [term for term in terms if term not in python_encoding]
     if unknown:
         raise outer.refusal(Tag.CHARACTER_SET, repr(unknown[0][:SHOWN]), "terms of PS3.3, C.12.1.1.2")

@@ -103,6 +103,8 @@ PROBLEMS: Mapping[tuple[str, str], str] = {
     ("POST", f"{SESSION}/signature"): f"{REPORT} operator_mismatch signer_unconfirmed locked_out login_busy",
     ("GET", f"{SESSION}/report.pdf"): REPORT,
     ("GET", f"{SESSION}/report.html"): REPORT,
+    ("GET", f"{SESSION}/waveform.dcm"): f"{REPORT} invalid_value",
+    ("GET", f"{SESSION}/report.dcm"): f"{REPORT} invalid_value",
     ("GET", f"{SESSION}/picture"): "not_found picture_missing",
     ("GET", f"{SESSION}/mesh"): "not_found mesh_missing",
     ("GET", f"{SESSION}/transitions"): "not_found",

@@ -19,6 +19,7 @@ from service.web import dependencies
 from service.web.operator_calls import Operated, Withdrawing
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
+DICOM = "application/dicom"
 ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 SampleFormatQuery = Annotated[
@@ -355,6 +356,39 @@ def export_report_html(
     return _exported(session_id, services, caller, body, "html", "text/html; charset=utf-8")
 
 
+@router.get(
+    "/{session_id}/waveform.dcm",
+    response_class=Response,
+    responses={200: {"description": "The curve", "content": {DICOM: BINARY}}},
+)
+def export_waveform(
+    session_id: dependencies.SessionId,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+    deidentify_as: Annotated[
+        str | None,
+        Query(min_length=1, max_length=64, description="Patient ID in place of the patient's; times and plan go too"),
+    ] = None,
+) -> Response:
+    """Return thorax and abdomen as a DICOM Multi-channel Respiratory Waveform, with beam and gate as annotations."""
+    body = services.exports.waveform(session_id, deidentify_as)
+    return _exported(
+        session_id, services, caller, body, "dcm" if deidentify_as is None else "dcm, de-identified", DICOM
+    )
+
+
+@router.get(
+    "/{session_id}/report.dcm",
+    response_class=Response,
+    responses={200: {"description": "The report", "content": {DICOM: BINARY}}},
+)
+def export_report_dicom(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, caller: dependencies.Caller
+) -> Response:
+    """Return the PDF report as a DICOM Encapsulated PDF."""
+    return _exported(session_id, services, caller, services.exports.report(session_id), "report.dcm", DICOM)
+
+
 def _exported(
     session_id: str,
     services: dependencies.AppServices,
@@ -364,7 +398,7 @@ def _exported(
     media_type: str,
 ) -> Response:
     services.audit.exported(actor=caller.name, action="report.export", session_id=session_id, detail={"format": form})
-    headers = {"Content-Disposition": f'attachment; filename="{session_id}.{form}"'}
+    headers = {"Content-Disposition": f'attachment; filename="{session_id}.{form.partition(",")[0]}"'}
     return Response(body, media_type=media_type, headers=headers)
 
 

@@ -50,6 +50,8 @@ OPERATIONS: dict[str, tuple[str, str]] = {
     "export_samples": ("GET", f"{SESSION}/samples"),
     "read_report": ("GET", f"{SESSION}/report"),
     "export_report": ("GET", f"{SESSION}/report.pdf"),
+    "export_waveform": ("GET", f"{SESSION}/waveform.dcm"),
+    "export_report_dicom": ("GET", f"{SESSION}/report.dcm"),
     "audit": ("GET", "/api/v1/audit"),
     "verify_audit": ("GET", "/api/v1/audit/verify"),
     "export_audit": ("GET", "/api/v1/audit/export"),
