@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from engine.qa.playing import (
         opened as opened,
     )
+    from engine.qa.recorded_traces import (
+        read_trace as read_trace,
+    )
     from engine.qa.results import (
         QaBound as QaBound,
         QaCheck as QaCheck,

@@ -138,7 +138,7 @@ def _curve(source: str, signal: str, data: Path | None) -> _Curve:
         table = _motion_table(path, signal)
         if table is not None:
             return table
-    from engine.qa.recorded_traces import read_trace
+    from engine.qa import read_trace
 
     trace = read_trace(path)
     return _Curve(trace.time_s, trace.motion_mm, np.zeros(len(trace.time_s), dtype=bool), path.stem)

@@ -11,6 +11,7 @@ from service.access.service import AccessService
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.protocols import EnginePort
+from service.exchange.pacs import PacsSender
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.engine import EngineMetrics
@@ -42,6 +43,7 @@ class MonitoredServices:
     armed_operator: ArmedOperator
     alarms: AlarmWatch
     certificate: ServedCertificate | None = None
+    pacs: PacsSender | None = None
 
     def ended_threads(self) -> list[str]:
         """Return the names of threads that ended unexpectedly."""
@@ -51,6 +53,8 @@ class MonitoredServices:
             "tidegate-cleanup": self.cleanup.has_ended,
             "tidegate-alarms": self.alarms.has_ended,
         }
+        if self.pacs is not None:
+            checked["tidegate-pacs"] = self.pacs.has_ended
         if self.certificate is not None:
             checked["tidegate-certificate"] = self.certificate.has_ended
         return [name for name, has_ended in checked.items() if has_ended]

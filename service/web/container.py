@@ -1,5 +1,6 @@
 """Everything the service consists of: opened step by step at the start, closed with the beam held first."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
@@ -14,6 +15,8 @@ from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.plug_ins import described, use_plug_ins
 from service.engine_host.protocols import EnginePort
+from service.exchange.outbox import Outbox
+from service.exchange.pacs import PacsSender, pacs_of
 from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
 from service.planning.rt_plan.planned_sessions import PlannedSessions
@@ -79,6 +82,9 @@ class _Storage:
     audit_supervision: AuditSupervision
     cleanup: CleanupWorker
     believed_time: BelievedTime
+    exports: SessionExports
+    outbox: Outbox
+    pacs: PacsSender | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,6 +134,8 @@ class Container:
         self.access.armed_operator.close()
         self.storage.alarms.close()
         self.storage.cleanup.close()
+        if self.storage.pacs is not None:
+            self.storage.pacs.close()
         if self.certificate is not None:
             self.certificate.close()
         self.access.oidc.close()
@@ -182,6 +190,8 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
     log, samples = AuditLog(database), SampleStore(settings.data_dir / SAMPLES_FOLDER)
     audit_supervision = AuditSupervision(database=database, settings=settings, write=log.write)
     on_failure.callback(audit_supervision.close)
+    outbox = Outbox(settings.data_dir, pacs=settings.pacs, takes_signed=settings.pacs_takes_signed)
+    exports = SessionExports(database, samples, report_service(database, samples, settings))
     return _Storage(
         database=database,
         log=log,
@@ -191,7 +201,19 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
         audit_supervision=audit_supervision,
         cleanup=CleanupWorker(database, settings, is_busy=lambda: equipment.running is not None, time=believed_time),
         believed_time=believed_time,
+        exports=exports,
+        outbox=outbox,
+        pacs=_sender(settings, outbox, exports, log, is_busy=lambda: equipment.running is not None),
     )
+
+
+def _sender(
+    settings: Settings, outbox: Outbox, exports: SessionExports, log: AuditLog, *, is_busy: Callable[[], bool]
+) -> PacsSender | None:
+    if not settings.pacs:
+        return None
+    pacs = pacs_of(settings.pacs, settings.pacs_ca)
+    return PacsSender(pacs, outbox, lambda one: [exports.waveform(one), exports.report(one)], log, is_busy=is_busy)
 
 
 def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
@@ -275,6 +297,7 @@ def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Ac
         armed_operator=access.armed_operator,
         alarms=storage.alarms,
         certificate=dependencies.certificate,
+        pacs=storage.pacs,
     )
     storage.alarms.troubles = SiteTroubles(
         audit=lambda: storage.audit_supervision.troubles, ended_threads=monitored.ended_threads
@@ -291,7 +314,8 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         arming=work.arming,
         samples=SampleService(database, storage.samples),
         reports=reports,
-        exports=SessionExports(database, storage.samples, reports),
+        exports=storage.exports,
+        outbox=storage.outbox,
         traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),
@@ -321,6 +345,9 @@ def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_f
     close_interrupted(storage.database, storage.samples)
     close_interrupted_qa(storage.database)
     storage.cleanup.start()
+    if storage.pacs is not None:
+        storage.pacs.start()
+        on_failure.callback(storage.pacs.close)
     storage.alarms.start()
     on_failure.callback(storage.alarms.close)
     if dependencies.certificate is not None:

@@ -17,6 +17,7 @@ from service.core.conditional import LONGEST, Precondition, is_known, preconditi
 from service.core.errors import MediaTypeError, NotLoggedInError
 from service.core.schemas.base import Identifier, Name
 from service.engine_host.protocols import EnginePort
+from service.exchange.outbox import Outbox
 from service.monitoring.machine import MachineDescription
 from service.monitoring.metrics.registry import Metrics
 from service.monitoring.readiness import ReadinessProbe
@@ -79,6 +80,7 @@ class Services:
     samples: SampleService
     reports: ReportService
     exports: SessionExports
+    outbox: Outbox
     traces: SessionTraces
     calibrations: CalibrationRepository
     recordings: RecordingList

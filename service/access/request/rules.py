@@ -73,6 +73,8 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{SESSION}/report.html"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/waveform.dcm"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/report.dcm"): Permission.SESSIONS_READ,
+    ("POST", f"{SESSION}/send"): Permission.GATE_REFERENCE,
+    ("GET", f"{V1}/pacs"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/picture"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/mesh"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/transitions"): Permission.SESSIONS_READ,

@@ -178,6 +178,29 @@ class NoteRequest(_OfReport):
     note: Annotated[str, StringConstraints(min_length=1, max_length=1000), AfterValidator(printable_or_empty)]
 
 
+class SendRequest(_OfReport):
+    """Send the report that was looked at, and the curve, to the PACS."""
+
+
+class SentSession(Answer):
+    """A session on its way to the PACS."""
+
+    session_id: str
+    state: Literal["waiting", "sent"]
+    asked_by: str
+    asked_at: str
+    tries: int = Field(description="Attempts that failed")
+    trouble: str = Field(description="Why the last attempt failed; empty without one")
+    sent_at: str | None
+
+
+class Sendings(Answer):
+    """What was sent, and what waits."""
+
+    is_configured: bool = Field(description="Whether the site names a PACS")
+    items: list[SentSession]
+
+
 class SignatureRequest(_OfReport):
     """A signature under the report that was looked at, and what it means."""
 

@@ -289,6 +289,23 @@ class DatabaseSettings(Section):
         return place_of(self.database_url, self.database_password_file, self.data_dir)
 
 
+class ExchangeSettings(Section):
+    """Where sessions go when a person sends them, or once their report is signed."""
+
+    SECTION = "exchange"
+
+    pacs: str = Field(
+        default="",
+        max_length=300,
+        pattern=r"^([ -\[\]-~]{1,16}@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):[0-9]{1,5})?$",
+        description="PACS that takes sessions: TITLE@host:port; empty is none",
+    )
+    pacs_ca: Path | None = Field(default=None, description="Authorities of the PACS's certificate: with it, TLS")
+    pacs_takes_signed: bool = Field(
+        default=False, description="A session is sent once its report has all signatures; otherwise by a person alone"
+    )
+
+
 class StorageSettings(Section):
     """Retention, quota, and free space for a new session."""
 

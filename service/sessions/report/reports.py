@@ -22,6 +22,7 @@ from service.core.schemas.reports import (
     ReportHead,
     ReportSignature,
     ReportWindow,
+    SendRequest,
     SessionReport,
     SignatureRequest,
     SignedDegree,
@@ -89,7 +90,7 @@ QA_LASTS = timedelta(hours=24)
 UNMANNED = {"operator_lost", "service_silent"}
 """Hold reasons of an armed gate without a responsible person or service; each is a deviation."""
 OPEN = ("created", "running")
-NOTE = "session.note"
+NOTE, SEND = "session.note", "session.send"
 REASONED = frozenset(
     {"session.arm", "session.reference", "session.window", "session.baseline_correction", "session.position_check"}
 )
@@ -137,14 +138,35 @@ class ReportService:
         detail = request.model_dump(exclude={"operator", "password"}) | {"confirmed_by": confirmed_by}
         return self._written(session_id, SIGNATURE, detail, actor)
 
+    def accept(self, session_id: str, request: SendRequest, actor: str, pacs: str) -> None:
+        """Note in the audit that a person sends the report that they looked at.
+
+        Raises
+        ------
+        SessionStateError
+            It is another report by now, or the site names no PACS.
+        """
+        with self._log.refusals(actor=actor, action=SEND, session_id=session_id, detail={"pacs": pacs}):
+            present = self.of(session_id).report
+            if not pacs:
+                msg = "the site names no PACS: exchange.pacs"
+                raise SessionStateError(msg, field="exchange.pacs", value="not set", bound="TITLE@host:port")
+            self._refuse_other(present, request.content_sha256)
+        detail = {"pacs": pacs, "content_sha256": request.content_sha256}
+        self._log.write(Event(actor=actor, action=SEND, session_id=session_id, detail=detail))
+
+    @staticmethod
+    def _refuse_other(present: SessionReport, content_sha256: str) -> None:
+        if content_sha256 != present.content_sha256:
+            bound = "that of the report as it is now: read it again"
+            msg = f"content_sha256 must be {bound}"
+            raise SessionStateError(msg, field="content_sha256", value=content_sha256, bound=bound)
+
     def _written(self, session_id: str, action: str, detail: dict[str, Any], actor: str) -> SessionReport:
         # One at a time: of two calls of one person at once, the second sees the first one's signature.
         with self._signing, self._log.refusals(actor=actor, action=action, session_id=session_id, detail=detail):
             present = self.of(session_id).report
-            if detail["content_sha256"] != present.content_sha256:
-                bound = "that of the report as it is now: read it again"
-                msg = f"content_sha256 must be {bound}"
-                raise SessionStateError(msg, field="content_sha256", value=detail["content_sha256"], bound=bound)
+            self._refuse_other(present, detail["content_sha256"])
             if action == SIGNATURE:
                 _refuse_signer(present, actor)
             self._log.write(Event(actor=actor, action=action, session_id=session_id, detail=detail))

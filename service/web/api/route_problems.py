@@ -105,6 +105,7 @@ PROBLEMS: Mapping[tuple[str, str], str] = {
     ("GET", f"{SESSION}/report.html"): REPORT,
     ("GET", f"{SESSION}/waveform.dcm"): f"{REPORT} invalid_value",
     ("GET", f"{SESSION}/report.dcm"): f"{REPORT} invalid_value",
+    ("POST", f"{SESSION}/send"): f"{REPORT} operator_mismatch",
     ("GET", f"{SESSION}/picture"): "not_found picture_missing",
     ("GET", f"{SESSION}/mesh"): "not_found mesh_missing",
     ("GET", f"{SESSION}/transitions"): "not_found",

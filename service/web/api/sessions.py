@@ -1,5 +1,6 @@
 """Routes of sessions. No call switches the beam on: arming allows the gate to do so."""
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
@@ -12,7 +13,15 @@ from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.base import Name
 from service.core.schemas.gate import ArmingSummary, BaselineCorrectionRequest
-from service.core.schemas.reports import NoteRequest, SessionMoment, SessionReport, SessionTrace, SignatureRequest
+from service.core.schemas.reports import (
+    NoteRequest,
+    SendRequest,
+    SentSession,
+    SessionMoment,
+    SessionReport,
+    SessionTrace,
+    SignatureRequest,
+)
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
@@ -327,7 +336,27 @@ def sign_report(
     actor = caller.checked_actor(request.operator)
     password = None if request.password is None else request.password.get_secret_value()
     confirmed_by = desk.confirm_signer(caller.identity, password, address)
-    return services.reports.sign(session_id, request, actor, confirmed_by=confirmed_by)
+    signed = services.reports.sign(session_id, request, actor, confirmed_by=confirmed_by)
+    count = sum(one.is_signed and one.is_of_this for one in signed.signatures)
+    if services.outbox.takes_signed and count >= signed.signatures_needed:
+        services.outbox.ask(session_id, actor)
+    return signed
+
+
+@router.post("/{session_id}/send", name="session.send")
+def send_session(
+    session_id: dependencies.SessionId,
+    request: SendRequest,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+) -> SentSession:
+    """Send curve and report of a session that is over to the PACS; it is tried until the PACS has taken both.
+
+    For people only; the same session again is sent again.
+    """
+    actor = caller.checked_actor(request.operator)
+    services.reports.accept(session_id, request, actor, services.outbox.pacs)
+    return SentSession.model_validate(asdict(services.outbox.ask(session_id, actor)))
 
 
 @router.get(

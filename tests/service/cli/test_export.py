@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from service.cli import app
-from tests.service.exchange.test_four_d_ct import PERIOD_S, breath
+from tests.support.exchange.breaths import PERIOD_S, breath
 from tests.support.repository import ROOT
 
 REAL = next((ROOT / "tests/data/rpm").glob("*.vxp"))

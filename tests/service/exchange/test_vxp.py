@@ -8,7 +8,7 @@ import pytest
 from engine.qa.recorded_traces import read_trace
 from service.exchange.four_d_ct import places_in_breath
 from service.exchange.vxp import vxp
-from tests.service.exchange.test_four_d_ct import breath
+from tests.support.exchange.breaths import breath
 from tests.support.repository import ROOT
 
 REAL = next((ROOT / "tests/data/rpm").glob("*.vxp"))

@@ -687,7 +687,7 @@ class FakeService:
         if request.method != "GET" and self.problem is not None:
             status, problem = self.problem
             return JSONResponse(problem, status, media_type="application/problem+json")
-        if path.startswith(("/users", "/keys")) or path.endswith(("/note", "/signature")):
+        if path.startswith(("/users", "/keys")) or path.endswith(("/note", "/signature", "/send")):
             return self._about_others(path, request.method, body)
         answer = self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
         if path == "/audit":
@@ -702,6 +702,13 @@ class FakeService:
         signed = {"at": self._now(), "name": self.person["name"], "note": body["note"], "is_of_this": True}
         self.report["signatures"].append(signed | {"is_signed": "meaning" in body, "meaning": body.get("meaning")})
         return JSONResponse(self._report_of(session_id))
+
+    def _send(self, session_id: str) -> Response:
+        assert self.person is not None
+        waiting = {"session_id": session_id, "state": "waiting", "trouble": "", "tries": 0, "sent_at": None}
+        waiting |= {"asked_by": self.person["name"], "asked_at": self._now()}
+        self.office["/pacs"] = {"is_configured": True, "items": [waiting]}
+        return JSONResponse(waiting)
 
     def _about_log_ins(self, path: str, body: Any) -> Response:
         if path == "/login":
@@ -737,8 +744,9 @@ class FakeService:
         return JSONResponse(self.person)
 
     def _about_others(self, path: str, method: str, body: Any) -> Response:
-        if path.endswith(("/note", "/signature")):
-            return self._sign(path.split("/")[2], body)
+        if path.endswith(("/note", "/signature", "/send")):
+            session_id = path.split("/")[2]
+            return self._send(session_id) if path.endswith("/send") else self._sign(session_id, body)
         if "/logins" in path:
             return JSONResponse({"items": self.logins})
         kept = self.people if path.startswith("/users") else self.keys
@@ -758,7 +766,8 @@ class FakeService:
     def _answer(self, path: str, method: str, body: Any) -> Response:
         pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit}
         pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
-        single = {"/qa/status": self.qa, **self.of_model, **self.office}
+        nowhere = {"is_configured": False, "items": []}
+        single = {"/qa/status": self.qa, "/pacs": nowhere, **self.of_model, **self.office}
         if method == "GET" and path in single:
             return JSONResponse(single[path])
         listed = self.models if path.endswith("/models") else pages.get(path)

@@ -21,6 +21,8 @@ EXPORTS = {
     "/api/v1/qa/runs/{run_id}/report.pdf": "qa.export",
     "/api/v1/sessions/{session_id}/report.pdf": "report.export",
     "/api/v1/sessions/{session_id}/report.html": "report.export",
+    "/api/v1/sessions/{session_id}/waveform.dcm": "report.export",
+    "/api/v1/sessions/{session_id}/report.dcm": "report.export",
 }
 """What leaves the house by GET."""
 

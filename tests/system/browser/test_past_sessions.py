@@ -76,6 +76,7 @@ def test_a_session_is_looked_at_again_with_its_trace_figures_and_what_can_be_tak
     expect(page.locator("#review-acts li").first).to_contain_text("A. Therapistarmed")
     wanted = [f"/api/v1/sessions/{OLDER['id']}/{one}" for one in ("report.pdf", "report.html")]
     wanted += [f"/api/v1/sessions/{OLDER['id']}/samples?format={one}" for one in ("csv", "arrow", "parquet")]
+    wanted.append(f"/api/v1/sessions/{OLDER['id']}/waveform.dcm")
     assert page.locator("#review-links a").evaluate_all("all => all.map(one => one.getAttribute('href'))") == wanted
     assert tint(page, "#review-frame canvas").spread > 100, "the trace is drawn"
 
@@ -151,6 +152,29 @@ def test_a_report_is_noted_and_signed_by_who_looked_at_it(fake: FakeService, tab
     noted, signed = (body for path, body in fake.posts() if path.endswith(("/note", "/signature")))
     assert (signed["meaning"], signed["password"]) == ("checked", PASSWORD)
     assert noted["content_sha256"] == signed["content_sha256"] == fake.report["content_sha256"]
+
+
+def test_a_session_is_sent_to_the_pacs_and_says_how_far_it_is(fake: FakeService, tab: Tab):
+    fake.office["/pacs"] = {"is_configured": True, "items": []}
+    page = past(fake, tab)
+    expect(page.locator("#review-sent")).to_have_text("")
+    page.get_by_role("button", name="Send to PACS").click()
+    expect(page.locator("#review-sent")).to_have_text("Waits to be sent, for A. Therapist.")
+    (sent,) = (body for path, body in fake.posts() if path.endswith("/send"))
+    assert sent["content_sha256"] == fake.report["content_sha256"]
+    fake.office["/pacs"]["items"][0] |= {"trouble": "ARCHIVE does not answer", "tries": 3}
+    page.reload()
+    expect(page.locator("#review-sent")).to_contain_text("The last attempt: ARCHIVE does not answer.")
+    fake.person = person("V. Iewer", Role.VIEWER)
+    page.reload()
+    expect(page.locator("#review-sent")).to_contain_text("Waits")
+    expect(page.locator("#review-send")).to_be_hidden()
+
+
+def test_without_a_pacs_there_is_nothing_to_send_to(fake: FakeService, tab: Tab):
+    page = past(fake, tab)
+    expect(page.locator("#review-links a")).not_to_have_count(0)
+    expect(page.locator("#review-pacs")).to_be_hidden()
 
 
 def test_the_button_that_signs_stays_where_it_is_whatever_arrives_after_it(fake: FakeService, tab: Tab):

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import shutil
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from service.cli import app
 from service.core.settings.settings import Settings
 from service.exchange.dicom import read_waveform
 from service.web.app import create_app
+from tests.support.exchange.orthanc import Orthanc
 from tests.support.replay.real_sessions import SOON, DeliberatePerson, Played, Troubles, play
-from tests.support.service.accounts import PeopleClient, QuickHashing
+from tests.support.service.accounts import PASSWORD, PeopleClient, QuickHashing
 from tests.support.service.api_calls import audit_rows
+from tests.support.service.processes import free_port
+from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.long
 
@@ -126,3 +130,58 @@ def test_what_cannot_be_exported_is_refused_by_name_and_nothing_is_written(playe
     assert done.exit_code == 2, done.output
     assert field in done.output
     assert not (tmp_path / "no").exists()
+
+
+def sent(client, session_id):
+    answer = client.get("/api/v1/pacs").json()
+    return next((one for one in answer["items"] if one["session_id"] == session_id), None)
+
+
+def test_without_a_pacs_nothing_is_sent_and_the_refusal_names_the_setting(client, played):
+    report = client.get(f"/api/v1/sessions/{played.session_id}/report").json()
+    body = {"content_sha256": report["content_sha256"]}
+    answer = client.post(f"/api/v1/sessions/{played.session_id}/send", json=body)
+    assert (answer.status_code, answer.json()["field"]) == (409, "exchange.pacs")
+    assert client.get("/api/v1/pacs").json() == {"is_configured": False, "items": []}
+    assert audit_rows(client, "session.send")[-1]["outcome"] == "refused"
+
+
+def test_a_person_sends_a_session_and_a_restart_in_between_loses_nothing(played, tmp_path):
+    data, archive = tmp_path / "data", Orthanc(tmp_path / "orthanc")
+    shutil.copytree(played.data_dir, data)
+    settings = Settings(data_dir=data, allowed_hosts=("testserver",), pacs=archive.place)
+    path = f"/api/v1/sessions/{played.session_id}"
+    with PeopleClient(create_app(settings)) as client:
+        client.desk.logins._hashing = QuickHashing()
+        report = client.get(f"{path}/report").json()
+        stale = client.post(f"{path}/send", json={"content_sha256": "0" * 64})
+        assert (stale.status_code, stale.json()["field"]) == (409, "content_sha256")
+        answer = client.post(f"{path}/send", json={"content_sha256": report["content_sha256"]})
+        assert (answer.status_code, answer.json()["state"]) == (200, "waiting")
+        eventually(lambda: sent(client, played.session_id)["tries"] == 1)
+        assert "does not answer" in sent(client, played.session_id)["trouble"]
+    with archive.running(), PeopleClient(create_app(settings)) as client:
+        client.desk.logins._hashing = QuickHashing()
+        eventually(lambda: sent(client, played.session_id)["state"] == "sent")
+        names = {dcmread(io.BytesIO(one)).SOPClassUID.name for one in archive.files()}
+        assert len(names) == 2
+        rows = audit_rows(client, "session.sent")
+        assert [row["outcome"] for row in rows] == ["failed", "done"]
+        assert client.get("/api/v1/pacs").json()["is_configured"] is True
+
+
+def test_where_the_site_says_so_the_last_signature_sends(played, tmp_path):
+    data = tmp_path / "data"
+    shutil.copytree(played.data_dir, data)
+    place = f"ARCHIVE@localhost:{free_port()}"
+    settings = Settings(data_dir=data, allowed_hosts=("testserver",), pacs=place, pacs_takes_signed=True)
+    path = f"/api/v1/sessions/{played.session_id}"
+    with PeopleClient(create_app(settings)) as client:
+        client.desk.logins._hashing = QuickHashing()
+        report = client.get(f"{path}/report").json()
+        body = {"content_sha256": report["content_sha256"], "meaning": "approved", "password": PASSWORD}
+        assert sent(client, played.session_id) is None
+        for name in ("C. Reviewer", "D. Reviewer")[: report["signatures_needed"]]:
+            answer = client.post(f"{path}/signature", json=body | {"operator": name})
+            assert answer.status_code == 200, answer.text
+        assert sent(client, played.session_id)["state"] == "waiting"

@@ -107,6 +107,8 @@ const SAMPLES_TIMEOUT_MS = 60_000;
 export const readReport = (id) => call("GET", `${session(id)}/report`);
 /** A part of a session's trace, in at most `points` ranges. @param {{from_s?: number, to_s?: number, points: number}} part */
 export const readTrace = (id, part) => call("GET", `${session(id)}/trace?${new URLSearchParams(part)}`);
+export const readSent = () => call("GET", "/pacs");
+export const sendReport = (id, operator, content) => call("POST", `${session(id)}/send`, { operator, content_sha256: content });
 export const readMoment = (id, atS) => call("GET", `${session(id)}/moment?${new URLSearchParams({ at_s: atS.toFixed(3) })}`);
 /** `content` is the hash of the report that the person looked at. */
 export const noteReport = (id, operator, note, content) => call("POST", `${session(id)}/note`, { operator, note, content_sha256: content });
@@ -115,6 +117,7 @@ export const signReport = (id, operator, { meaning, password, note, content }) =
   call("POST", `${session(id)}/signature`, { operator, meaning, password, note, content_sha256: content });
 export const reportUrl = (id, form) => `${ROOT}${session(id)}/report.${form}`;
 export const samplesUrl = (id, form) => `${ROOT}${session(id)}/samples?format=${form}`;
+export const dicomUrl = (id) => `${ROOT}${session(id)}/waveform.dcm`;
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;
 const qaRun = (id) => `/qa/runs/${encodeURIComponent(id)}`;
 export const listQaRuns = (limit, cursor) => call("GET", `/qa/runs?${searched(limit, "", cursor)}`);

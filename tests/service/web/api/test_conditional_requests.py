@@ -122,7 +122,7 @@ def test_every_decision_changes_the_etag(client, session_id, engine):
 def test_every_call_that_decides_about_a_session_is_among_the_decisions(client):
     routers = (sessions.router, models.router)
     names = {route.name for router in routers for route in router.routes if "." in route.name}
-    assert names - {"session.note", "session.signature"} == set(DECISIONS) - {"session.close"}, (
+    assert names - {"session.note", "session.send", "session.signature"} == set(DECISIONS) - {"session.close"}, (
         "a session that is over is signed"
     )
 

@@ -16,6 +16,7 @@ POSTS = {
     "/api/v1/sessions",
     "/api/v1/sessions/{session_id}/start",
     "/api/v1/sessions/{session_id}/note",
+    "/api/v1/sessions/{session_id}/send",
     "/api/v1/sessions/{session_id}/signature",
     "/api/v1/sessions/{session_id}/arm",
     "/api/v1/sessions/{session_id}/disarm",

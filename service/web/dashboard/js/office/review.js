@@ -5,7 +5,7 @@
  * The session and the part that is shown stand in the page's address, so that a link leads to a moment.
  */
 
-import { listSessions, noteReport, readReport, readTrace, reportUrl, samplesUrl, signReport } from "../api.js";
+import { dicomUrl, listSessions, noteReport, readReport, readSent, readTrace, reportUrl, samplesUrl, sendReport, signReport } from "../api.js";
 import { byId, part, pushButton, said, say, setText } from "../drawing/elements.js";
 import { Chart } from "../drawing/chart.js";
 import { stepFor } from "../drawing/color_scale.js";
@@ -51,6 +51,7 @@ class Review {
     byId("review-all").addEventListener("click", () => this.#look(0, this.endS));
     byId("review-signal").addEventListener("change", () => this.#draw());
     this.frame.addEventListener("keydown", (event) => this.#key(event));
+    byId("review-send").addEventListener("click", () => this.#send());
     this.form = byId("review-sign");
     this.form.addEventListener("submit", (event) => { event.preventDefault(); this.#write(false); });
     this.signing = byId("review-do-sign");
@@ -68,6 +69,7 @@ class Review {
       this.endS = trace.end_s;
       this.startMs = Date.parse(trace.first_at ?? report.session.started_at);
       this.#figures(report);
+      this.#sent();
       const isEmpty = trace.times_s.length === 0;
       setText(byId("review-note"), isEmpty ? tr("review.no_samples") : "");
       if (isEmpty) { this.#signatures(report); return; }
@@ -179,6 +181,28 @@ class Review {
     } catch (error) {
       if (!this.ended.aborted) say(byId("review-outcome"), "failed", error.message);
     }
+  }
+
+  /** Ask for curve and report to be sent to the PACS, and say how far that is. */
+  async #send() {
+    try {
+      await sendReport(this.id, this.person.name, this.report.content_sha256);
+      await this.#sent();
+    } catch (error) {
+      if (!this.ended.aborted) say(byId("review-sent"), "failed", error.message);
+    }
+  }
+
+  /** Whether the PACS has the session; without a PACS there is nothing to send to. */
+  async #sent() {
+    const found = await readSent().catch(() => null);
+    if (this.ended.aborted || found === null) return;
+    byId("review-pacs").hidden = !found.is_configured;
+    byId("review-send").hidden = !may(this.person, "sign");
+    const one = found.items.find((each) => each.session_id === this.id);
+    if (one === undefined) return;
+    const words = { name: one.asked_by, at: localTime(one.sent_at ?? one.asked_at), trouble: one.trouble };
+    say(byId("review-sent"), one.state === "sent" ? "done" : "waiting", tr(one.state === "sent" ? "review.sent" : one.trouble === "" ? "review.waits" : "review.waits_because", words));
   }
 
   #look(from, to) {
@@ -379,7 +403,7 @@ function figure([name, value]) {
 const nameOf = (signal) => (has(`page.${signal}`) ? tr(`page.${signal}`) : signal);
 
 function links(id) {
-  const made = [["PDF", reportUrl(id, "pdf")], ["HTML", reportUrl(id, "html")], ["CSV", samplesUrl(id, "csv")], ["Arrow", samplesUrl(id, "arrow")], ["Parquet", samplesUrl(id, "parquet")]];
+  const made = [["PDF", reportUrl(id, "pdf")], ["HTML", reportUrl(id, "html")], ["CSV", samplesUrl(id, "csv")], ["Arrow", samplesUrl(id, "arrow")], ["Parquet", samplesUrl(id, "parquet")], ["DICOM", dicomUrl(id)]];
   return made.map(([name, url], i) => {
     const link = part("a", i < 2 ? tr("review.report", { name }) : tr("review.samples", { name }));
     link.href = url;
