@@ -11,6 +11,10 @@ if TYPE_CHECKING:
         measure_file as measure_file,
         measure_files as measure_files,
     )
+    from engine.offline.conversion import (
+        Conversion as Conversion,
+        convert_recording as convert_recording,
+    )
     from engine.offline.measure import (
         FileTask as FileTask,
         measure_recording as measure_recording,

@@ -30,6 +30,7 @@ COMMANDS = {
         "service.cli.devices", "List the cameras, write a camera's own calibration, check a camera before it is used."
     ),
     "record": Command("service.cli.recordings", "Record depth and colour from a camera to an .oni file."),
+    "convert": Command("service.cli.convert", "Convert a recording between .oni, .mcap and a folder of PNG."),
     "openapi": Command("service.cli.openapi", "Write the OpenAPI document and the schemas of the live stream."),
     "calibrate": Command(
         "service.cli.calibrate.command", "Calibrate a camera, or convert a calibration, and report its accuracy."

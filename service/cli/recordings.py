@@ -28,7 +28,7 @@ def info(
     Exit code 0 when it is intact, 2 when it is damaged, cannot be read, or has times that no camera gives.
     """
     try:
-        with _bar("checking" if not is_quick else "reading") as bar:
+        with recording_bar("checking" if not is_quick else "reading") as bar:
             task = bar.add_task(file.name, total=None)
             description = describe(
                 file,
@@ -71,7 +71,7 @@ def record(
     stop_signals: list[int] = []
     previous = signal.signal(signal.SIGINT, lambda number, _frame: stop_signals.append(number))
     try:
-        with _bar("recording", "{task.fields[frames]} frames, {task.fields[missed]} missed") as bar:
+        with recording_bar("recording", "{task.fields[frames]} frames, {task.fields[missed]} missed") as bar:
             task = bar.add_task(out.name, total=seconds, frames=0, missed=0)
             description = recorder.record(
                 source,
@@ -90,7 +90,8 @@ def record(
     _print_table(description)
 
 
-def _bar(verb: str, *columns: str) -> Progress:
+def recording_bar(verb: str, *columns: str) -> Progress:
+    """Return a progress bar of frames; none where nobody looks."""
     return Progress(
         TextColumn(f"{verb} {{task.description}}"),
         BarColumn(),
