@@ -107,3 +107,53 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path):
     (tmp_path / "odd.csv").write_text("hello")
     with pytest.raises(tidegate.TidegateError, match=r"odd\.csv: line 1"):
         tidegate.read_signal(tmp_path / "odd.csv")
+
+
+MICROSECONDS = {"unit": "m", "time": "us", "time_unit": "us", "is_inverted": True}
+
+
+@pytest.mark.parametrize(
+    ("text", "given"),
+    [
+        ("t,abdomen\n0,1.5\n0.1,\n0.2,-2\n", {"time": "t"}),
+        ("t;abdomen\n0;1,5\n0,1;\n0,2;-2\n", {"time": "t"}),
+        ("x\tabdomen\tms\n9\t0.15\t500\n9\t\t600\n9\t-0.2\t700\n", {"unit": "cm", "time": "ms", "time_unit": "ms"}),
+        (
+            "us,abdomen\n7,-0.0015\n100007,\n200007,0.002\n",
+            {"unit": "m", "time": "us", "time_unit": "us", "is_inverted": True},
+        ),
+    ],
+)
+def test_named_columns_of_a_csv_are_read_in_their_units(tmp_path, text, given):
+    path = tmp_path / "other.csv"
+    path.write_text(text)
+    found = tidegate.read_signal(path, value="abdomen", **given)
+    np.testing.assert_allclose(found.time_s, [0.0, 0.1, 0.2], atol=1e-9)
+    np.testing.assert_allclose(found.value_mm, [1.5, np.nan, -2.0])
+    assert found.peak_to_peak_mm == pytest.approx(3.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "said"),
+    [
+        ("t,a\n0,1\n1,2\n", {"value": "b"}, "value.*b.*a"),
+        ("t,a,a\n0,1,1\n1,2,2\n", {"value": "a"}, "value"),
+        ("t,a\n0,1\n1,2\n", {"value": "a", "time": "s"}, "time.*columns t, a"),
+        ("t,a\n0,1\n1,2\n", {"value": "a", "unit": "inch"}, "unit.*mm, cm, m"),
+        ("t,a\n0,1\n1,2\n", {"value": "a", "time_unit": "h"}, "time_unit"),
+        ("t,a\n0,1\n1,x\n", {"value": "a"}, "line 3: t, a are '1', 'x'"),
+        ("t,a\n0,1\n,2\n", {"value": "a"}, "line 3: t, a are ''"),
+        ("t,a\n0,1\n", {"value": "a"}, "at least two"),
+        ("t,a\n1,1\n0,2\n", {"value": "a"}, "increasing"),
+        ("", {"value": "a"}, "1 to"),
+    ],
+)
+def test_a_csv_of_another_form_is_refused_by_name(tmp_path, text, given, said):
+    path = tmp_path / "other.csv"
+    path.write_text(text)
+    with pytest.raises(tidegate.TidegateError, match=said):
+        tidegate.read_signal(path, **{"time": "t"} | given)
+
+
+def test_a_real_trace_states_its_range():
+    assert 10.0 < tidegate.read_signal(next(DATA.glob("*.vxp"))).peak_to_peak_mm < 30.0
