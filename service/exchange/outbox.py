@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from engine.core.files import write_whole
 
@@ -26,6 +26,8 @@ class Sending:
         Attempts that failed.
     trouble
         Why the last one did; empty without one.
+    transaction, committed_at
+        UID of the commitment that the PACS was asked for, and when it confirmed it; empty and None without.
     """
 
     session_id: str
@@ -35,6 +37,8 @@ class Sending:
     tries: int = 0
     trouble: str = ""
     sent_at: str | None = None
+    transaction: str = ""
+    committed_at: str | None = None
 
 
 class Outbox:
@@ -67,18 +71,35 @@ class Outbox:
         """Return those that the PACS does not have yet, oldest first."""
         return [one for one in self.all() if one.state == "waiting"]
 
-    def has_sent(self, sending: Sending) -> None:
-        """Note that the PACS has the session; one that was asked for again meanwhile stays waiting."""
-        self._change(sending, replace(sending, state="sent", trouble="", sent_at=datetime.now(UTC).isoformat()))
+    def begin(self, sending: Sending, transaction: str) -> None:
+        """Keep the UID of the commitment that will be asked for: the PACS may confirm before it is asked to the end."""
+        self._change(sending, transaction=transaction)
+
+    def has_sent(self, sending: Sending, *, is_asked: bool = False) -> None:
+        """Note that the PACS has the session, and whether it was asked to confirm that it keeps it.
+
+        One that was asked for again meanwhile stays waiting.
+        """
+        rest = {} if is_asked else {"transaction": ""}
+        self._change(sending, state="sent", trouble="", sent_at=datetime.now(UTC).isoformat(), **rest)
 
     def has_failed(self, sending: Sending, trouble: str) -> None:
         """Note that an attempt failed."""
-        self._change(sending, replace(sending, tries=sending.tries + 1, trouble=trouble[:300]))
+        self._change(sending, tries=sending.tries + 1, trouble=trouble[:300])
 
-    def _change(self, before: Sending, after: Sending) -> None:
+    def has_committed(self, sending: Sending) -> None:
+        """Note that the PACS is responsible for the session's files from now on."""
+        self._change(sending, committed_at=datetime.now(UTC).isoformat())
+
+    def has_lost(self, sending: Sending, trouble: str) -> None:
+        """Note that the PACS does not keep what it took: it is sent again."""
+        self._change(sending, state="waiting", transaction="", trouble=trouble[:300])
+
+    def _change(self, sending: Sending, **changed: Any) -> None:  # noqa: ANN401 - fields of several types
         with self._lock:
-            if next((one for one in self._read() if one.session_id == before.session_id), None) == before:
-                self._put(after)
+            for one in self._read():
+                if (one.session_id, one.asked_at) == (sending.session_id, sending.asked_at):
+                    self._put(replace(one, **changed))
 
     def _write(self, sending: Sending) -> None:
         with self._lock:

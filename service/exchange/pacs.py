@@ -6,10 +6,11 @@ import re
 import socket
 import ssl
 import time
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -20,6 +21,7 @@ from service.storage.audit import SYSTEM, Event
 from service.storage.audit.log import AuditLog
 
 if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
     from pynetdicom.association import Association
 
 OWN_TITLE = "TIDEGATE"
@@ -27,7 +29,9 @@ WAIT_S = 10.0
 ANSWER_S = 30.0
 EVERY_S = 1.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
-SUCCESS = 0x0000
+SUCCESS, UNKNOWN_TRANSACTION = 0x0000, 0x0115
+SENT, COMMITTED = "session.sent", "session.committed"
+COMMITMENT, COMMITMENT_INSTANCE = "1.2.840.10008.1.20.1", "1.2.840.10008.1.20.1.1"
 WARNINGS = range(0xB000, 0xB100)
 _PLACE = re.compile(r"([ -\[\]-~]{1,16})@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):(\d{1,5})")
 logger = logging.getLogger(__name__)
@@ -47,9 +51,10 @@ class Pacs:
     host: str
     port: int
     ca: Path | None = None
+    commit_port: int = 0
 
 
-def pacs_of(text: str, ca: Path | None = None) -> Pacs:
+def pacs_of(text: str, ca: Path | None = None, commit_port: int = 0) -> Pacs:
     """Read ``TITLE@host:port``.
 
     Raises
@@ -60,11 +65,12 @@ def pacs_of(text: str, ca: Path | None = None) -> Pacs:
     found = _PLACE.fullmatch(text)
     if found is None or not found[1].strip() or not 1 <= int(found[3]) <= 65_535:
         raise InvalidValueError("pacs", text[:80], "TITLE@host:port, a title of 1 to 16 characters")
-    return Pacs(title=found[1].strip(), host=found[2].strip("[]"), port=int(found[3]), ca=ca)
+    title, host = found[1].strip(), found[2].strip("[]")
+    return Pacs(title=title, host=host, port=int(found[3]), ca=ca, commit_port=commit_port)
 
 
-def send(pacs: Pacs, files: Sequence[bytes]) -> None:
-    """Store DICOM files over one association.
+def send(pacs: Pacs, files: Sequence[bytes], transaction: str = "") -> bool:
+    """Store DICOM files over one association; return whether the PACS was asked to confirm that it keeps them.
 
     Raises
     ------
@@ -82,6 +88,8 @@ def send(pacs: Pacs, files: Sequence[bytes]) -> None:
     own.dimse_timeout = own.network_timeout = ANSWER_S
     for sop_class in dict.fromkeys(one.SOPClassUID for one in found):
         own.add_requested_context(sop_class, "1.2.840.10008.1.2.1")
+    if transaction:
+        own.add_requested_context(COMMITMENT)
     tls = None if context is None else (context, pacs.host)
     association = own.associate(pacs.host, pacs.port, ae_title=pacs.title, tls_args=tls)
     if not association.is_established:
@@ -91,10 +99,33 @@ def send(pacs: Pacs, files: Sequence[bytes]) -> None:
     try:
         for one in found:
             _store(association, pacs, one)
+        return bool(transaction) and _ask_commitment(association, found, transaction)
     finally:
         if association.is_established:
             association.release()
         _close(association)
+
+
+def _ask_commitment(association: "Association", files: Sequence["Dataset"], transaction: str) -> bool:
+    """Ask the PACS to confirm that it keeps the files; return False where it does not offer that."""
+    from pydicom.dataset import Dataset
+
+    asked = Dataset()
+    asked.TransactionUID = transaction
+    asked.ReferencedSOPSequence = [_reference(one) for one in files]
+    try:
+        status, _ = association.send_n_action(asked, 1, COMMITMENT, COMMITMENT_INSTANCE)
+    except (RuntimeError, ValueError):  # not offered
+        return False
+    return "Status" in status and status.Status == SUCCESS
+
+
+def _reference(file: "Dataset") -> "Dataset":
+    from pydicom.dataset import Dataset
+
+    made = Dataset()
+    made.ReferencedSOPClassUID, made.ReferencedSOPInstanceUID = file.SOPClassUID, file.SOPInstanceUID
+    return made
 
 
 def _close(association: "Association") -> None:
@@ -153,6 +184,7 @@ class PacsSender:
     ) -> None:
         self._pacs, self._outbox, self._files_of, self._log, self._is_busy = pacs, outbox, files_of, log, is_busy
         self._next_s: dict[tuple[str, str], float] = {}
+        self._server: Any = None
         self._worker = PeriodicWorker(
             "tidegate-pacs", self.turn, interval_s=EVERY_S, recoverable=(OSError, SQLAlchemyError)
         )
@@ -163,12 +195,44 @@ class PacsSender:
         return self._worker.has_ended
 
     def start(self) -> None:
-        """Start its thread."""
+        """Start its thread, and listen for what the PACS commits itself to."""
+        if self._pacs.commit_port:
+            self._listen()
         self._worker.start()
 
     def close(self) -> None:
         """Stop; a session on its way is given a second, and is sent again by the next start."""
         self._worker.stop(1.0)
+        if self._server is not None:
+            self._server.shutdown()
+
+    def _listen(self) -> None:
+        from pynetdicom import AE, evt
+
+        own = AE(ae_title=OWN_TITLE)
+        own.require_called_aet, own.require_calling_aet = True, [self._pacs.title]
+        own.add_supported_context(COMMITMENT, scu_role=True, scp_role=True)
+        handlers: list[Any] = [(evt.EVT_N_EVENT_REPORT, self._has_reported)]
+        try:
+            self._server = own.start_server(("", self._pacs.commit_port), block=False, evt_handlers=handlers)
+        except OSError as error:
+            logger.warning("port %d for storage commitment cannot be used (%s)", self._pacs.commit_port, error.strerror)
+
+    def _has_reported(self, event: Any) -> tuple[int, None]:  # noqa: ANN401 - pynetdicom's event has no public type
+        """Note what the PACS keeps, and send again what it does not."""
+        told = event.event_information
+        transaction = str(told.get("TransactionUID", ""))
+        sending = next((one for one in self._outbox.all() if transaction and one.transaction == transaction), None)
+        if sending is None:
+            return UNKNOWN_TRANSACTION, None
+        lost = len(told.get("FailedSOPSequence", ()))
+        if lost:
+            self._outbox.has_lost(sending, f"{self._pacs.title} does not keep {lost} of the files")
+            self._note(sending, "failed", {"lost": lost}, COMMITTED)
+        elif sending.committed_at is None:
+            self._outbox.has_committed(sending)
+            self._note(sending, "done", {"transaction": transaction}, COMMITTED)
+        return SUCCESS, None
 
     def turn(self) -> None:
         """Send the first session whose time has come."""
@@ -180,7 +244,9 @@ class PacsSender:
         if sending is None:
             return
         try:
-            send(self._pacs, self._files_of(sending.session_id))
+            transaction = f"2.25.{uuid.uuid4().int}" if self._pacs.commit_port else ""
+            self._outbox.begin(sending, transaction)
+            is_asked = send(self._pacs, self._files_of(sending.session_id), transaction)
         except TidegateError as error:
             pause_s = min(FIRST_PAUSE_S * 2.0 ** min(sending.tries, 10), LONGEST_PAUSE_S)
             self._next_s[_key(sending)] = now + pause_s
@@ -189,15 +255,15 @@ class PacsSender:
                 self._note(sending, "failed", {"trouble": str(error)})
             self._outbox.has_failed(sending, str(error))
         else:
-            self._outbox.has_sent(sending)
+            self._outbox.has_sent(sending, is_asked=is_asked)
             self._note(sending, "done", {"tries": sending.tries + 1})
 
-    def _note(self, sending: Sending, outcome: Literal["done", "failed"], detail: dict[str, object]) -> None:
+    def _note(
+        self, sending: Sending, outcome: Literal["done", "failed"], detail: dict[str, object], action: str = SENT
+    ) -> None:
         place = f"{self._pacs.title}@{self._pacs.host}:{self._pacs.port}"
         detail = {"pacs": place, "asked_by": sending.asked_by, **detail}
-        event = Event(
-            actor=SYSTEM, action="session.sent", outcome=outcome, session_id=sending.session_id, detail=detail
-        )
+        event = Event(actor=SYSTEM, action=action, outcome=outcome, session_id=sending.session_id, detail=detail)
         self._log.write(event)
 
 

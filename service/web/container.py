@@ -212,7 +212,7 @@ def _sender(
 ) -> PacsSender | None:
     if not settings.pacs:
         return None
-    pacs = pacs_of(settings.pacs, settings.pacs_ca)
+    pacs = pacs_of(settings.pacs, settings.pacs_ca, settings.pacs_commit_port)
     return PacsSender(pacs, outbox, lambda one: [exports.waveform(one), exports.report(one)], log, is_busy=is_busy)
 
 

@@ -192,6 +192,8 @@ class SentSession(Answer):
     tries: int = Field(description="Attempts that failed")
     trouble: str = Field(description="Why the last attempt failed; empty without one")
     sent_at: str | None
+    transaction: str = Field(description="UID of the storage commitment that was asked for; empty without one")
+    committed_at: str | None = Field(description="When the PACS confirmed that it keeps the files")
 
 
 class Sendings(Answer):

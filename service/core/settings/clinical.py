@@ -38,6 +38,7 @@ EXEMPT: Mapping[str, str] = {
     **dict.fromkeys(
         (
             "port",
+            "pacs_commit_port",
             "max_live_clients",
         ),
         "HTTP service, which holds no permit",

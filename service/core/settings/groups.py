@@ -301,6 +301,12 @@ class ExchangeSettings(Section):
         description="PACS that takes sessions: TITLE@host:port; empty is none",
     )
     pacs_ca: Path | None = Field(default=None, description="Authorities of the PACS's certificate: with it, TLS")
+    pacs_commit_port: int = Field(
+        default=0,
+        ge=0,
+        le=65_535,
+        description="Port on which the PACS confirms that it keeps what it took (storage commitment); 0 asks for none",
+    )
     pacs_takes_signed: bool = Field(
         default=False, description="A session is sent once its report has all signatures; otherwise by a person alone"
     )

@@ -3,9 +3,11 @@
 import io
 import socket
 from itertools import pairwise
+from unittest.mock import Mock
 
 import pytest
-from pydicom import dcmread
+from pydicom import Dataset, dcmread
+from pynetdicom import AE, build_role
 
 from engine.core.errors import InvalidValueError
 from service.exchange import pacs as pacs_module
@@ -16,6 +18,7 @@ from tests.support.audit.syslog_certificates import Authority
 from tests.support.exchange.orthanc import Orthanc
 from tests.support.exchange.session_curve import PDF, curve, subject
 from tests.support.service.processes import free_port
+from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.waiting
 FILES = [waveform(subject(), curve()), report_document(subject(), PDF)]
@@ -77,7 +80,7 @@ def test_a_queue_outlives_an_outage_and_a_restart(tmp_path):
 def test_after_a_failure_it_waits_longer_each_time_and_the_audit_has_the_first(tmp_path, monkeypatch):
     log, outbox, now = Log(), Outbox(tmp_path), [100.0]
     monkeypatch.setattr(pacs_module.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(pacs_module, "send", lambda *_: (_ for _ in ()).throw(PacsError("refused")))
+    monkeypatch.setattr(pacs_module, "send", Mock(side_effect=PacsError("refused")))
     outbox.ask(SESSION, "B. Physicist")
     one = sender("ARCHIVE@localhost:104", outbox, log)
     pauses, tries = [], 0
@@ -121,6 +124,66 @@ def test_something_else_on_the_port_is_no_pacs():
         patch.setattr(pacs_module, "WAIT_S", 0.5)
         with pytest.raises(PacsError, match="does not answer"):
             send(pacs_of(f"ARCHIVE@127.0.0.1:{server.getsockname()[1]}"), FILES)
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_the_pacs_confirms_what_it_keeps_and_gets_again_what_it_lost(tmp_path, is_kept):
+    port = free_port()
+    archive, log, outbox = Orthanc(tmp_path / "orthanc", commit_port=port), Log(), Outbox(tmp_path)
+    outbox.ask(SESSION, "B. Physicist")
+    with archive.running():
+        one = PacsSender(
+            pacs_of(archive.place, None, port), outbox, lambda _: FILES, log, is_busy=lambda: bool(log.events)
+        )
+        if not is_kept:  # what the report says of a file that the archive does not know
+            sent = pacs_module._reference
+            patched = pytest.MonkeyPatch()
+            patched.setattr(pacs_module, "_reference", lambda file: _of_another(sent(file)))
+        one.start()
+        try:
+            eventually(lambda: any(event.action == "session.committed" for event in log.events))
+        finally:
+            one.close()
+            if not is_kept:
+                patched.undo()
+    (found,) = outbox.all()
+    (told,) = (event for event in log.events if event.action == "session.committed")
+    if is_kept:
+        assert (found.state, told.outcome) == ("sent", "done")
+        assert found.committed_at is not None
+        assert found.transaction == told.detail["transaction"]
+    else:
+        assert (found.state, told.outcome, found.committed_at) == ("waiting", "failed", None)
+        assert "does not keep 2 of the files" in found.trouble
+
+
+def _of_another(reference):
+    reference.ReferencedSOPInstanceUID += ".1"
+    return reference
+
+
+def test_a_report_of_another_transaction_and_of_another_archive_changes_nothing(tmp_path):
+    outbox, log, port = Outbox(tmp_path), Log(), free_port()
+    outbox.has_sent(outbox.ask(SESSION, "B. Physicist"))
+    one = PacsSender(pacs_of("ARCHIVE@localhost:104", None, port), outbox, lambda _: FILES, log, is_busy=lambda: True)
+    one.start()
+    try:
+        for title, status in (("ARCHIVE", 0x0115), ("STRANGER", None)):
+            archive = AE(ae_title=title)
+            archive.add_requested_context("1.2.840.10008.1.20.1")
+            role = build_role("1.2.840.10008.1.20.1", scp_role=True)
+            association = archive.associate("127.0.0.1", port, ae_title="TIDEGATE", ext_neg=[role])
+            assert association.is_established is (status is not None)
+            if status is not None:
+                told = Dataset()
+                told.TransactionUID = "2.25.1"
+                answer, _ = association.send_n_event_report(told, 1, "1.2.840.10008.1.20.1", "1.2.840.10008.1.20.1.1")
+                assert answer.Status == status
+                association.release()
+    finally:
+        one.close()
+    assert outbox.all()[0].committed_at is None
+    assert log.events == []
 
 
 def test_over_tls_only_the_authority_s_pacs_is_trusted(tmp_path):

@@ -705,7 +705,14 @@ class FakeService:
 
     def _send(self, session_id: str) -> Response:
         assert self.person is not None
-        waiting = {"session_id": session_id, "state": "waiting", "trouble": "", "tries": 0, "sent_at": None}
+        waiting = {
+            "session_id": session_id,
+            "state": "waiting",
+            "trouble": "",
+            "tries": 0,
+            "sent_at": None,
+            "committed_at": None,
+        }
         waiting |= {"asked_by": self.person["name"], "asked_at": self._now()}
         self.office["/pacs"] = {"is_configured": True, "items": [waiting]}
         return JSONResponse(waiting)

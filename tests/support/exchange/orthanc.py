@@ -27,6 +27,7 @@ class Orthanc:
     dicom_port: int = field(default_factory=free_port)
     http_port: int = field(default_factory=free_port)
     tls: tuple[Path, Path, Path] | None = None
+    commit_port: int | None = None
 
     @property
     def place(self) -> str:
@@ -54,6 +55,8 @@ class Orthanc:
             "RegisteredUsers": {"test": "test"},
             "DicomAlwaysAllowStore": True,
         }
+        if self.commit_port is not None:
+            settings["DicomModalities"] = {"gating": ["TIDEGATE", "127.0.0.1", self.commit_port]}
         if self.tls is not None:
             certificate, key, authorities = map(str, self.tls)
             settings |= {

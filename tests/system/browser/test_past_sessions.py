@@ -165,9 +165,11 @@ def test_a_session_is_sent_to_the_pacs_and_says_how_far_it_is(fake: FakeService,
     fake.office["/pacs"]["items"][0] |= {"trouble": "ARCHIVE does not answer", "tries": 3}
     page.reload()
     expect(page.locator("#review-sent")).to_contain_text("The last attempt: ARCHIVE does not answer.")
+    at = fake._now()
+    fake.office["/pacs"]["items"][0] |= {"state": "sent", "trouble": "", "sent_at": at, "committed_at": at}
     fake.person = person("V. Iewer", Role.VIEWER)
     page.reload()
-    expect(page.locator("#review-sent")).to_contain_text("Waits")
+    expect(page.locator("#review-sent")).to_contain_text("the PACS keeps it since")
     expect(page.locator("#review-send")).to_be_hidden()
 
 

@@ -201,8 +201,8 @@ class Review {
     byId("review-send").hidden = !may(this.person, "sign");
     const one = found.items.find((each) => each.session_id === this.id);
     if (one === undefined) return;
-    const words = { name: one.asked_by, at: localTime(one.sent_at ?? one.asked_at), trouble: one.trouble };
-    say(byId("review-sent"), one.state === "sent" ? "done" : "waiting", tr(one.state === "sent" ? "review.sent" : one.trouble === "" ? "review.waits" : "review.waits_because", words));
+    const words = { name: one.asked_by, at: localTime(one.committed_at ?? one.sent_at ?? one.asked_at), trouble: one.trouble };
+    say(byId("review-sent"), one.state === "sent" ? "done" : "waiting", tr(`review.${word(one)}`, words));
   }
 
   #look(from, to) {
@@ -399,6 +399,9 @@ function figure([name, value]) {
   line.append(part("dt", name), part("dd", value));
   return line;
 }
+
+/** How far a session is on its way to the PACS. */
+const word = ({ state, trouble, committed_at: keptAt }) => (state === "sent" ? (keptAt === null ? "sent" : "kept") : trouble === "" ? "waits" : "waits_because");
 
 const nameOf = (signal) => (has(`page.${signal}`) ? tr(`page.${signal}`) : signal);
 
