@@ -2,7 +2,6 @@
 
 import io
 import logging
-import re
 import socket
 import ssl
 import time
@@ -16,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from engine.core.errors import InvalidValueError, TidegateError
 from service.core.periodic import PeriodicWorker
+from service.core.settings.groups import PACS_PLACE
 from service.exchange.outbox import Outbox, Sending
 from service.storage.audit import SYSTEM, Event
 from service.storage.audit.log import AuditLog
@@ -33,7 +33,6 @@ SUCCESS, UNKNOWN_TRANSACTION = 0x0000, 0x0115
 SENT, COMMITTED = "session.sent", "session.committed"
 COMMITMENT, COMMITMENT_INSTANCE = "1.2.840.10008.1.20.1", "1.2.840.10008.1.20.1.1"
 WARNINGS = range(0xB000, 0xB100)
-_PLACE = re.compile(r"([ -\[\]-~]{1,16})@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):(\d{1,5})")
 logger = logging.getLogger(__name__)
 
 
@@ -62,8 +61,8 @@ def pacs_of(text: str, ca: Path | None = None, commit_port: int = 0) -> Pacs:
     InvalidValueError
         It is of another form, or the port is out of 1 to 65535.
     """
-    found = _PLACE.fullmatch(text)
-    if found is None or not found[1].strip() or not 1 <= int(found[3]) <= 65_535:
+    found = PACS_PLACE.fullmatch(text)
+    if found is None or not 1 <= int(found[3]) <= 65_535:
         raise InvalidValueError("pacs", text[:80], "TITLE@host:port, a title of 1 to 16 characters")
     title, host = found[1].strip(), found[2].strip("[]")
     return Pacs(title=title, host=host, port=int(found[3]), ca=ca, commit_port=commit_port)

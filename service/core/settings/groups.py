@@ -5,6 +5,7 @@ numbers.
 """
 
 import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -289,6 +290,9 @@ class DatabaseSettings(Section):
         return place_of(self.database_url, self.database_password_file, self.data_dir)
 
 
+PACS_PLACE = re.compile(r"([!-\[\]-~][ -\[\]-~]{,15})@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):(\d{1,5})")
+
+
 class ExchangeSettings(Section):
     """Where sessions go when a person sends them, or once their report is signed."""
 
@@ -297,7 +301,6 @@ class ExchangeSettings(Section):
     pacs: str = Field(
         default="",
         max_length=300,
-        pattern=r"^([ -\[\]-~]{1,16}@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):[0-9]{1,5})?$",
         description="PACS that takes sessions: TITLE@host:port; empty is none",
     )
     pacs_ca: Path | None = Field(default=None, description="Authorities of the PACS's certificate: with it, TLS")
@@ -310,6 +313,15 @@ class ExchangeSettings(Section):
     pacs_takes_signed: bool = Field(
         default=False, description="A session is sent once its report has all signatures; otherwise by a person alone"
     )
+
+    @field_validator("pacs")
+    @classmethod
+    def _is_a_place(cls, value: str) -> str:
+        found = PACS_PLACE.fullmatch(value)
+        if value and (found is None or not 1 <= int(found[3]) <= 65_535):
+            msg = f"{value[:80]!r} must be TITLE@host:port, a title of 1 to 16 characters"
+            raise ValueError(msg)
+        return value
 
 
 class StorageSettings(Section):

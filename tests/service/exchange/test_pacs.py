@@ -6,10 +6,12 @@ from itertools import pairwise
 from unittest.mock import Mock
 
 import pytest
+from pydantic import ValidationError
 from pydicom import Dataset, dcmread
 from pynetdicom import AE, build_role
 
 from engine.core.errors import InvalidValueError
+from service.core.settings.settings import Settings
 from service.exchange import pacs as pacs_module
 from service.exchange.dicom import report_document, waveform
 from service.exchange.outbox import Outbox
@@ -212,3 +214,10 @@ def test_a_place_is_title_host_and_port():
     assert (found.title, found.host, found.port) == ("MY ARCHIVE", "::1", 11112)
     with pytest.raises(PacsError):
         send(pacs_of(f"ARCHIVE@127.0.0.1:{free_port()}"), FILES)
+
+
+@pytest.mark.parametrize("wrong", [one for one in WRONG if one])
+def test_the_site_s_setting_is_refused_by_name_where_it_is_read(wrong):
+    with pytest.raises(ValidationError, match=r"pacs\n.*TITLE@host:port"):
+        Settings(pacs=wrong)
+    assert Settings(pacs="").pacs == ""
