@@ -316,7 +316,7 @@ class ExchangeSettings(Section):
 
     @field_validator("pacs")
     @classmethod
-    def _is_a_place(cls, value: str) -> str:
+    def _is_a_pacs(cls, value: str) -> str:
         found = PACS_PLACE.fullmatch(value)
         if value and (found is None or not 1 <= int(found[3]) <= 65_535):
             msg = f"{value[:80]!r} must be TITLE@host:port, a title of 1 to 16 characters"
