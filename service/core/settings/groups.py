@@ -30,6 +30,7 @@ ANCHOR_NAME = "audit-anchors.jsonl"
 FolderList = Annotated[tuple[Path, ...], NoDecode]
 LogFormat = Literal["text", "json"]
 LogLevel = Literal["debug", "info", "warning", "error"]
+PACS_PLACE = re.compile(r"([!-\[\]-~][ -\[\]-~]{,15})@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):(\d{1,5})")
 
 
 def _bounded(value: float, what: str) -> Any:  # noqa: ANN401 - a field of any number's type
@@ -288,9 +289,6 @@ class DatabaseSettings(Section):
     def database_place(self) -> "Path | URL":
         """What :class:`service.storage.database.engine.Database` opens; the password is in it, for the driver alone."""
         return place_of(self.database_url, self.database_password_file, self.data_dir)
-
-
-PACS_PLACE = re.compile(r"([!-\[\]-~][ -\[\]-~]{,15})@([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:]+\]):(\d{1,5})")
 
 
 class ExchangeSettings(Section):
