@@ -46,6 +46,8 @@ ENDS_LOG_INS = frozenset(
 )
 """Made by somebody who is thrown away afterwards."""
 NEEDS_NO_SESSION = frozenset({"create_session", "start_session", "start_qa_run", "fix_qa_baseline", "prepare_session"})
+OF_THE_ENDED = {"add_note", "read_trace", "read_moment", "export_waveform", "send_session"}
+"""Calls about a session that is over, beside those about a report."""
 
 
 class World:
@@ -61,6 +63,7 @@ class World:
             data_dir=folder / "data",
             recordings_dirs=(recordings,),
             allowed_hosts=(asgi.HOST,),
+            pacs="ARCHIVE@localhost:104",  # while a session runs, as here, nothing is sent
         )
         self.app = create_app(self.settings, lambda _settings: self.engine, lambda _settings: self.rig)
         self.client: Any = None
@@ -144,7 +147,7 @@ class World:
             return {"login_id": self._login_of(headers)}
         if operation in {"read_qa_run", "read_qa_report"}:
             return {"run_id": self.known["finished_run_id"]}
-        if "report" in operation or operation in {"add_note", "read_trace", "read_moment"}:
+        if "report" in operation or operation in OF_THE_ENDED:
             return {"session_id": self.known["ended_session_id"]}
         return self.known
 
@@ -164,6 +167,7 @@ class World:
             "countersign": lambda _: {"state": "5e" * 16},
             "add_note": lambda _: self._note_body(),
             "sign_report": lambda _: self._note_body() | {"meaning": "checked", "password": PASSWORD},
+            "send_session": lambda _: {"content_sha256": self._note_body()["content_sha256"]},
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -206,6 +210,8 @@ class World:
         models = f"{V1}/sessions/{self.known['session_id']}/models"
         eventually(lambda: len(self.send("GET", models).json()["items"]) == 1)
         self.known["model_id"] = self.send("GET", models).json()["items"][0]["id"]
+        for _ in range(3):
+            self.engine.running.frame()
         self._end_session()
         self.known["ended_session_id"] = self.known["session_id"]
         plan = self.send("POST", f"{V1}/plans", written(photon_plan()), **{"Content-Type": "application/dicom"})
