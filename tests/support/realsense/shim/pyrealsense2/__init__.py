@@ -58,19 +58,29 @@ OPTIONS = (
 
 
 class ViewOfDepth:
-    """What the depth camera itself would see: brightness of the colour picture at each depth pixel's point."""
+    """What the depth camera itself would see: brightness of the colour picture at each depth pixel's point.
+
+    The place in the colour picture is computed for every eighth pixel and interpolated between them: computed for all,
+    it takes longer than a frame's period on a slow processor, and the frames of the device become old.
+    """
+
+    STEP = 8
 
     def __init__(self, calibration):
         from engine.calibration import parse_calibration
 
         known = parse_calibration(json.dumps(calibration).encode())
-        rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+        first = (self.STEP - 1) / 2.0  # the middle of each square, as cv2.resize takes it
+        rows, columns = np.mgrid[first : HEIGHT : self.STEP, first : WIDTH : self.STEP]
+        self._shape = rows.shape
         self._rays = known.depth.rays(np.column_stack([columns.ravel(), rows.ravel()]).astype(float))
         self._color, self._pose = known.color, known.color_from_depth
 
     def infrared(self, depth_mm, color):
-        z_mm = np.where(depth_mm > 0, depth_mm, np.median(depth_mm[depth_mm > 0])).reshape(-1, 1)
-        seen = self._color.project(self._pose.apply(self._rays * z_mm)).reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+        squares = depth_mm[self.STEP // 2 :: self.STEP, self.STEP // 2 :: self.STEP]
+        z_mm = np.where(squares > 0, squares, np.median(squares[squares > 0])).reshape(-1, 1)
+        seen = self._color.project(self._pose.apply(self._rays * z_mm)).reshape(*self._shape, 2).astype(np.float32)
+        seen = cv2.resize(seen, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
         gray = cv2.cvtColor(np.asarray(color), cv2.COLOR_RGB2GRAY)
         return np.ascontiguousarray(cv2.remap(gray, seen[..., 0], seen[..., 1], cv2.INTER_LINEAR))
 
