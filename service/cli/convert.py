@@ -20,7 +20,7 @@ def convert(
         Path | None, typer.Option(help="Calibration of the camera, kept in .mcap and folders.")
     ] = None,
 ) -> None:
-    """Convert a recording to another format.
+    """Convert a recording between .oni, .mcap and a folder of PNG.
 
     Depths are equal; JPEG pictures are handed on as they are. Of a source that is cut off every picture before the cut
     is converted, and the exit code is 2. A camera that the source does not name is unknown.

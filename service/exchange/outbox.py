@@ -75,13 +75,15 @@ class Outbox:
         """Keep the UID of the commitment that will be asked for: the PACS may confirm before it is asked to the end."""
         self._change(sending, transaction=transaction)
 
-    def has_sent(self, sending: Sending, *, is_asked: bool = False) -> None:
+    def has_sent(self, sending: Sending, transaction: str = "", *, is_asked: bool = False) -> None:
         """Note that the PACS has the session, and whether it was asked to confirm that it keeps it.
 
-        One that was asked for again meanwhile stays waiting.
+        One that was asked for again meanwhile stays waiting, and one of which the PACS has said already that it lost
+        it: its transaction is gone.
         """
-        rest = {} if is_asked else {"transaction": ""}
-        self._change(sending, state="sent", trouble="", sent_at=datetime.now(UTC).isoformat(), **rest)
+        kept = transaction if is_asked else ""
+        now = datetime.now(UTC).isoformat()
+        self._change(sending, of=transaction, state="sent", trouble="", sent_at=now, transaction=kept)
 
     def has_failed(self, sending: Sending, trouble: str) -> None:
         """Note that an attempt failed."""
@@ -95,10 +97,11 @@ class Outbox:
         """Note that the PACS does not keep what it took: it is sent again."""
         self._change(sending, state="waiting", transaction="", trouble=trouble[:300])
 
-    def _change(self, sending: Sending, **changed: Any) -> None:  # noqa: ANN401 - fields of several types
+    def _change(self, sending: Sending, of: str | None = None, **changed: Any) -> None:  # noqa: ANN401 - of several types
         with self._lock:
             for one in self._read():
-                if (one.session_id, one.asked_at) == (sending.session_id, sending.asked_at):
+                is_it = (one.session_id, one.asked_at) == (sending.session_id, sending.asked_at)
+                if is_it and of in {None, one.transaction}:
                     self._put(replace(one, **changed))
 
     def _write(self, sending: Sending) -> None:

@@ -254,7 +254,7 @@ class PacsSender:
                 self._note(sending, "failed", {"trouble": str(error)})
             self._outbox.has_failed(sending, str(error))
         else:
-            self._outbox.has_sent(sending, is_asked=is_asked)
+            self._outbox.has_sent(sending, transaction, is_asked=is_asked)
             self._note(sending, "done", {"tries": sending.tries + 1})
 
     def _note(

@@ -98,9 +98,9 @@ def test_a_page_states_the_age_of_old_figures(tmp_path, monkeypatch):
     young = ("At 3047e4dd, 20 runs", "at commit abcdef01", "of decades, at 1234567890123456")
     for text in young:
         assert ages.with_ages(text) == text
-    page = tmp_path / "docs/5-evidence/page.md"
+    page = tmp_path / "docs" / "5-evidence" / "page.md"
     page.parent.mkdir(parents=True)
     page.write_text(f"{' '.join(young)}: printed at commit `22ffe73` (mm)")
     monkeypatch.setattr(ages, "ROOT", tmp_path)
     named = [line for line in ages.old() if "page.md" in line]
-    assert named == ["docs/5-evidence/page.md: figures of 22ffe73, 508 commits ago"]
+    assert named == [f"{page.relative_to(tmp_path)}: figures of 22ffe73, 508 commits ago"]

@@ -39,6 +39,27 @@ def test_asked_for_again_while_it_is_on_its_way_it_is_sent_again(tmp_path):
     assert found.asked_by == "A. Therapist"
 
 
+def test_a_loss_that_is_told_before_the_sending_is_noted_counts(tmp_path):
+    outbox = Outbox(tmp_path)
+    sending = outbox.ask(ONE, "B. Physicist")
+    outbox.begin(sending, "2.25.1")
+    outbox.has_lost(outbox.all()[0], "the PACS does not keep it")
+    outbox.has_sent(sending, "2.25.1", is_asked=True)
+    (found,) = outbox.waiting()
+    assert (found.trouble, found.transaction) == ("the PACS does not keep it", "")
+
+
+def test_a_confirmation_before_the_sending_is_noted_stays(tmp_path):
+    outbox = Outbox(tmp_path)
+    sending = outbox.ask(ONE, "B. Physicist")
+    outbox.begin(sending, "2.25.1")
+    outbox.has_committed(outbox.all()[0])
+    outbox.has_sent(sending, "2.25.1", is_asked=True)
+    (found,) = outbox.all()
+    assert (found.state, found.transaction) == ("sent", "2.25.1")
+    assert found.committed_at is not None
+
+
 def test_a_damaged_file_is_said_and_hides_no_other(tmp_path):
     outbox = Outbox(tmp_path)
     outbox.ask(ONE, "B. Physicist")
