@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
@@ -33,6 +34,7 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # names of the engine are described in
 myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline"]
 autodoc_typehints = "signature"
+autodoc_mock_imports = [] if find_spec("pytest") else ["pytest"]  # of the image's build: tidegate.testing is for tests
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 suppress_warnings = ["myst.header"]  # tables made by the code begin below a page's second level
