@@ -91,7 +91,7 @@ def record(
 
 
 def recording_bar(verb: str, *columns: str) -> Progress:
-    """Return a progress bar of frames; none where nobody looks."""
+    """Return a progress bar of frames; disabled where standard error is no terminal."""
     return Progress(
         TextColumn(f"{verb} {{task.description}}"),
         BarColumn(),

@@ -246,7 +246,7 @@ class PacsSender:
             transaction = f"2.25.{uuid.uuid4().int}" if self._pacs.commit_port else ""
             self._outbox.begin(sending, transaction)
             is_asked = send(self._pacs, self._files_of(sending.session_id), transaction)
-        except TidegateError as error:
+        except (TidegateError, OSError, ValueError) as error:  # of this session alone: others are sent
             pause_s = min(FIRST_PAUSE_S * 2.0 ** min(sending.tries, 10), LONGEST_PAUSE_S)
             self._next_s[_key(sending)] = now + pause_s
             logger.warning("session %s was not sent, again in %.0f s", sending.session_id, pause_s)

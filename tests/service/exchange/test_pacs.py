@@ -106,10 +106,11 @@ def test_while_a_session_runs_nothing_is_sent(tmp_path):
     assert outbox.waiting()[0].tries == 0
 
 
-def test_a_session_without_files_is_a_failure_that_holds_up_no_other(tmp_path, archive):
+@pytest.mark.parametrize("kind", [PacsError, FileNotFoundError, ValueError])
+def test_a_session_without_files_is_a_failure_that_holds_up_no_other(tmp_path, archive, kind):
     def files_of(session_id):
         if session_id == SESSION:
-            raise PacsError("its samples were removed")
+            raise kind("its samples were removed")
         return FILES
 
     outbox, log = Outbox(tmp_path), Log()
