@@ -139,7 +139,7 @@ class OniPictureWriter:
     """Writes pictures to an ``.oni`` file."""
 
     def __init__(self, path: Path, head: RecordingHead) -> None:
-        self._head = head
+        self._last = {True: 0, False: 0}
         self._writer = OniWriter(
             path,
             depth_size=head.depth_size,
@@ -150,13 +150,15 @@ class OniPictureWriter:
         )
 
     def write(self, picture: Picture) -> None:
-        """Append a picture."""
+        """Append a picture; its number is at least the next one, since others leave all at 0."""
+        at_us, is_depth = picture.timestamp_us, picture.depth_mm is not None
+        number = self._last[is_depth] = max(picture.frame_id, self._last[is_depth] + 1)
         if picture.depth_mm is not None:
-            self._writer.write_depth(picture.timestamp_us, picture.depth_mm, frame_id=picture.frame_id)
+            self._writer.write_depth(at_us, picture.depth_mm, frame_id=number)
         elif picture.jpeg is not None:
-            self._writer.write_color_payload(picture.timestamp_us, picture.jpeg, frame_id=picture.frame_id)
+            self._writer.write_color_payload(at_us, picture.jpeg, frame_id=number)
         elif picture.rgb is not None:
-            self._writer.write_color(picture.timestamp_us, picture.rgb, frame_id=picture.frame_id)
+            self._writer.write_color(at_us, picture.rgb, frame_id=number)
 
     def __enter__(self) -> Self:
         return self

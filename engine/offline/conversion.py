@@ -61,7 +61,12 @@ def convert_recording(
             head = replace(head, serial=known.serial)
         with _writer(target, head, known) as writer:
             for picture in reader.pictures():
-                writer.write(picture)
+                if picture.depth_mm is None and head.color_size is None:
+                    raise RecordingError(f"{source.name}: its colour begins later than the first 30 depth pictures")
+                try:
+                    writer.write(picture)
+                except ValueError as error:  # a picture of another size
+                    raise RecordingError(f"{source.name}: {error}") from error
                 counts[picture.depth_mm is not None] += 1
                 on_progress(counts[True])
             if not counts[True]:

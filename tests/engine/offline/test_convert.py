@@ -266,6 +266,35 @@ def test_a_folder_of_another_form_is_refused_by_the_file_s_name(tmp_path, name, 
         FolderPictures(folder)
 
 
+@pytest.mark.parametrize(("times", "shape"), [((5, 40_000), SIZE), ((5, 40_000), (32, 24))])
+def test_pictures_without_numbers_are_numbered_and_those_that_do_not_fit_are_refused(tmp_path, times, shape):
+    path = tmp_path / "other.mcap"
+    with McapPictureWriter(path, RecordingHead(depth_size=SIZE, color_size=None)) as writer:
+        for at, size in zip(times, (SIZE, shape), strict=True):
+            depth = np.full(size[::-1], 800, np.uint16)
+            writer.write(Picture(timestamp_us=at, frame_id=0, depth_mm=depth))
+    if shape == SIZE:
+        assert convert(path, tmp_path / "b.oni").depth == 2
+        assert [one[1] for one in content(OniPictures(tmp_path / "b.oni"))[0]] == [1, 2]
+    else:
+        with pytest.raises(RecordingError, match=r"other\.mcap: "):
+            convert(path, tmp_path / "b.oni")
+        assert not (tmp_path / "b.oni").exists()
+
+
+@pytest.mark.parametrize("target", ["b.oni", "frames"])
+def test_colour_that_begins_late_is_refused_and_not_dropped(tmp_path, monkeypatch, target):
+    monkeypatch.setattr(mcap_file, "MOST", 3)
+    path = tmp_path / "late.mcap"
+    with McapPictureWriter(path, RecordingHead(depth_size=SIZE, color_size=SIZE)) as writer:
+        for number in range(6):
+            writer.write(Picture(timestamp_us=1 + number, frame_id=number, depth_mm=depth_of(number)))
+        writer.write(Picture(timestamp_us=9, frame_id=0, rgb=color_of(0)))
+    with pytest.raises(RecordingError, match="colour begins later"):
+        convert(path, tmp_path / target)
+    assert [one.name for one in tmp_path.iterdir()] == ["late.mcap"]
+
+
 def test_a_message_that_is_none_is_refused_by_its_topic(tmp_path):
     path = tmp_path / "bad.mcap"
     with path.open("wb") as file:
