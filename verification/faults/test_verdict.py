@@ -1,6 +1,7 @@
 """The judge, tried with planted evidence: each thing that must not happen is found, and nothing else."""
 
 from collections import deque
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -149,6 +150,21 @@ def test_off_in_time_for_another_cause_is_no_result_and_off_too_late_for_one_is_
     far = (Reported(what="frame_late", at_ns=at(2900.0)),)
     _refuse_another_s(late(2900.0, 0.0, reported=far), [at(2900.0)])
     _refuse_another_s(late(40.0, 0.0, reported=()), [at(40.0)])
+
+
+@pytest.mark.parametrize(("reason", "is_hold"), [("frame_late", True), ("camera_lost", False)])
+def test_a_beam_back_by_itself_is_no_result_after_another_hold_and_red_after_another_fault(reason, is_hold):
+    strict = replace(EXPECTED, recoveries=frozenset({Recovery.ACKNOWLEDGED}))
+    evidence = replace(
+        LATCHED,
+        edges=(edge(False, 7.0), edge(True, 129.0)),
+        clear_ns=CAUSE_NS,
+        reported=(Reported(what=reason, at_ns=at(9.0)),),
+    )
+    judged = Judged(expected=strict, evidence=evidence, troubles=judge(strict, evidence))
+    assert Trouble.ON_UNASKED in judged.troubles
+    with pytest.raises(MissedError) if is_hold else nullcontext():
+        _refuse_another_s(judged, [at(7.0)])
 
 
 def test_stalls_count_where_they_lie_between_cause_and_off():

@@ -11,6 +11,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S
 from verification.faults.kinds import Fault, FaultKind, MissedError
 from verification.faults.recovery import WayBack
 from verification.faults.verdict import (
+    FAULTS,
     REASONS,
     Evidence,
     Expectation,
@@ -40,8 +41,8 @@ DISTURBED_TRIES = 6
 STALL_MS = 20.0
 """A machine that stood still for so long had that much less time to take a line off, and no more than that."""
 
-OF_ANOTHER_CAUSE = {Trouble.UNREPORTED, Trouble.OTHER_RECOVERY}
-"""All that may be wrong where the beam went off in time, and for something else."""
+OF_ANOTHER_CAUSE = {Trouble.UNREPORTED, Trouble.OTHER_RECOVERY, Trouble.ON_UNASKED}
+"""All that may be wrong where the beam went off in time for something else, a hold that ends by itself among them."""
 
 REPORTED_WAIT_S = 2.0
 SLOW_MS = 300.0
@@ -151,7 +152,8 @@ def _refuse_another_s(judged: Judged, gone: list[int]) -> None:
     if not is_in_time or not (is_slow or is_of_another):
         return
     near = {one.what for one in evidence.reported if one.what in REASONS and abs(one.at_ns - gone[0]) < NEAR_NS}
-    if near and not near & expected.reported:
+    is_back_by_right = Trouble.ON_UNASKED not in judged.troubles or not near & FAULTS
+    if near and not near & expected.reported and is_back_by_right:
         raise MissedError(f"the beam went off for another reason: {', '.join(sorted(near))}")
 
 

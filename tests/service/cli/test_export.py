@@ -57,6 +57,14 @@ def test_an_image_outside_of_the_breaths_is_refused_by_its_number(motion, tmp_pa
     assert "image 2" in done.output
 
 
+def test_a_curve_without_two_breaths_has_no_places(motion, tmp_path):
+    lines = motion.read_text().splitlines()
+    motion.write_text("\n".join([*lines[:40], ""]))
+    done = called(motion, "--out", tmp_path / "ct", "--signal", "abdomen")
+    assert (done.exit_code, (tmp_path / "ct").exists()) == (2, False)
+    assert "at least two breaths" in done.output
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
