@@ -13,7 +13,7 @@ peculiarities of the formats are accepted:
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,7 @@ class Trace:
     """Recorded motion: ``motion_mm`` at ``time_s`` (from 0, increasing), inhale positive, about 0 at the end of exhale.
 
     ``kind`` is "markers", "rpm" or "qa"; ``axis`` the column it was taken from; ``restored`` counts samples whose time
-    was taken from their frame number.
+    was taken from their frame number. An RPM file may name its patient and say where the beam was on (``ttlout``).
     """
 
     kind: str
@@ -51,6 +51,8 @@ class Trace:
     time_s: Grid
     motion_mm: Grid
     restored: int = 0
+    patient_id: str = ""
+    is_on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @property
     def seconds(self) -> float:
@@ -190,29 +192,33 @@ def _read_qa(name: str, lines: list[str], axis: str) -> Trace:
 
 
 def _read_rpm(name: str, lines: list[str]) -> Trace:
-    layout, scale, first = _read_rpm_header(name, lines)
+    values, first = _read_rpm_keys(name, lines)
+    layout, scale = _read_rpm_header(name, values)
     rows = _split(name, lines, first, ",", len(layout))
     at = {field: layout.index(field) for field in ("amplitude", "timestamp", "validflag")}
     table = np.array([[row.value(column, field) for field, column in at.items()] for row in rows]).reshape(-1, 3)
     _check_increasing(rows, table[:, 1].tolist(), "timestamp")
     seen = table[:, 2] != FLAG_LOST
-    return _trace(name, "rpm", table[seen, 1] / 1000.0, -scale * table[seen, 0], "amplitude")
+    found = _trace(name, "rpm", table[seen, 1] / 1000.0, -scale * table[seen, 0], "amplitude")
+    out = layout.index("ttlout") if "ttlout" in layout else None
+    is_on = np.array([out is not None and row.fields[out].strip() == "1" for row in rows], dtype=bool)
+    patient = values["patient_id"].fields[0] if "patient_id" in values else ""
+    return replace(found, patient_id=patient, is_on=is_on[seen])
 
 
-def _read_rpm_header(name: str, lines: list[str]) -> tuple[list[str], float, int]:
-    """Return the columns, the scale [mm] and the number (from 0) of the first line of data."""
-    values, first = _read_rpm_keys(name, lines)
+def _read_rpm_header(name: str, values: dict[str, _Line]) -> tuple[list[str], float]:
+    """Return the columns and the scale [mm]."""
     for key in ("data_layout", "scale_factor"):
         if key not in values:
             raise RecordingError(f"{name}: [Header] has no {key}")
     layout = [field.strip().lower() for field in values["data_layout"].fields[0].split(",")]
-    for field in ("amplitude", "timestamp", "validflag"):
-        if layout.count(field) != 1:
-            raise values["data_layout"].refuse("Data_layout", ",".join(layout), f"a list with one {field}")
+    for column in ("amplitude", "timestamp", "validflag"):
+        if layout.count(column) != 1:
+            raise values["data_layout"].refuse("Data_layout", ",".join(layout), f"a list with one {column}")
     scale = values["scale_factor"].value(0, "Scale_factor")
     if not 0.0 < scale <= MAX_SCALE:
         raise values["scale_factor"].refuse("Scale_factor", f"{scale:g}", f"over 0 and at most {MAX_SCALE:g}")
-    return layout, scale, first
+    return layout, scale
 
 
 def _read_rpm_keys(name: str, lines: list[str]) -> tuple[dict[str, _Line], int]:

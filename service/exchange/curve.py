@@ -13,6 +13,7 @@ from engine.core.frames import FloatArray
 from service.core.errors import SessionStateError
 from service.storage.samples.layout import SampleHead
 
+BEAM_ON = "beam on"
 SIGNALS = ("whole", "thorax", "abdomen")
 COLUMNS = (
     "timestamp_us",
@@ -78,7 +79,7 @@ class BreathingCurve:
 
     def beams(self) -> Iterator[Stretch]:
         """Yield the stretches with the beam line on."""
-        yield from (one for one in stretches(np.where(self.is_on, "beam on", "")) if one.text)
+        yield from (one for one in stretches(np.where(self.is_on, BEAM_ON, "")) if one.text)
 
     def holds(self) -> Iterator[Stretch]:
         """Yield the stretches in which the gate did not permit the beam, each with state and reason."""

@@ -25,7 +25,7 @@ from pydicom.uid import (
 
 from engine import __version__
 from service.core.errors import BoundError
-from service.exchange.curve import BreathingCurve, Stretch
+from service.exchange.curve import BEAM_ON, BreathingCurve, Stretch
 
 CHANNELS = {
     "thorax": Code("130431", "DCM", "Thoracic Respiratory Effort"),
@@ -41,6 +41,7 @@ CHINESE_ESCAPE = b"\x1b$)A"
 PRIVATE_GROUP, CREATOR = 0x0099, "TIDEGATE"
 TRUE_TIMES, PLACES = 0x01, 0x02
 MOST_TEXT = 64
+TIME_FORM = "%Y%m%d%H%M%S.%f%z"
 DEIDENTIFIED = "Name, birth date, sex and times removed; identifiers replaced"
 
 
@@ -125,6 +126,9 @@ class ReadWaveform:
     motion_mm: dict[str, np.ndarray]
     rate: float
     annotations: tuple[str, ...]
+    is_on: np.ndarray
+    patient_id: str
+    begun_at: datetime | None
 
 
 def read_waveform(content: bytes) -> ReadWaveform:
@@ -138,11 +142,20 @@ def read_waveform(content: bytes) -> ReadWaveform:
     values = found.waveform_array(0)[places]
     raw = np.frombuffer(group.WaveformData, "<i4").reshape(-1, len(CHANNELS))[places]
     values = np.where(raw == PADDING, np.nan, values)
+    is_on = np.zeros(len(places), dtype=bool)
+    for one in found.WaveformAnnotationSequence:
+        if one.UnformattedTextValue == BEAM_ON:
+            first, last = one.ReferencedSamplePositions
+            is_on |= (first <= places + 1) & (places < last)
+    at = str(found.AcquisitionDateTime)
     return ReadWaveform(
         time_s=np.frombuffer(block[TRUE_TIMES].value, "<f8"),
         motion_mm={name: values[:, channel] for channel, name in enumerate(CHANNELS)},
         rate=float(group.SamplingFrequency),
         annotations=tuple(one.UnformattedTextValue for one in found.WaveformAnnotationSequence),
+        is_on=is_on,
+        patient_id=str(found.PatientID),
+        begun_at=datetime.strptime(at, TIME_FORM) if at else None,  # noqa: DTZ007 - the form has %z
     )
 
 

@@ -87,6 +87,7 @@ PATIENT = "/patient"
 OFFICE = "/office"
 """Address of the page of everything that is not done at the patient: past sessions, plans, QA, models, audit."""
 PLAN_IMPORT = ("POST", "/api/v1/plans")
+SIMULATION = ("POST", "/api/v1/sessions/{session_id}/simulation")
 STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
 
@@ -226,7 +227,7 @@ def create_app(
                 host_names=settings.host_names,
                 max_body_bytes=MAX_BODY_BYTES,
                 max_body_s=(connection_limits or ConnectionLimits()).body_s,
-                larger_bodies={PLAN_IMPORT: MAX_PLAN_BYTES},
+                larger_bodies={PLAN_IMPORT: MAX_PLAN_BYTES, SIMULATION: MAX_PLAN_BYTES},
             ),
             Middleware(
                 Guard,

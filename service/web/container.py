@@ -35,6 +35,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
+from service.sessions.records.simulations import SimulationDays
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
 from service.sessions.report.exports import SessionExports
@@ -315,6 +316,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         samples=SampleService(database, storage.samples),
         reports=reports,
         exports=storage.exports,
+        simulations=SimulationDays(database, storage.exports, log),
         outbox=storage.outbox,
         traces=SessionTraces(database, storage.samples, ModelStore(settings.data_dir / MODELS_FOLDER)),
         calibrations=CalibrationRepository(database, log),

@@ -32,6 +32,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
+from service.sessions.records.simulations import SimulationDays
 from service.sessions.report.exports import SessionExports
 from service.sessions.report.reports import ReportService
 from service.sessions.report.trace import SessionTraces
@@ -80,6 +81,7 @@ class Services:
     samples: SampleService
     reports: ReportService
     exports: SessionExports
+    simulations: SimulationDays
     outbox: Outbox
     traces: SessionTraces
     calibrations: CalibrationRepository

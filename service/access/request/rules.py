@@ -74,6 +74,8 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{SESSION}/waveform.dcm"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/report.dcm"): Permission.SESSIONS_READ,
     ("POST", f"{SESSION}/send"): Permission.GATE_REFERENCE,
+    ("POST", f"{SESSION}/simulation"): Permission.GATE_REFERENCE,
+    ("GET", f"{SESSION}/simulation"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/pacs"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/picture"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/mesh"): Permission.SESSIONS_READ,

@@ -131,7 +131,8 @@ class SessionStarter:
             document = queries.calibration_row(db, row.calibration_id).document
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
-            first, position = queries.first_reference_of(db, row), queries.plan_position_of(db, row)
+            first = queries.first_reference_of(db, row)
+            position = queries.simulation_position_of(db, row) or queries.plan_position_of(db, row)
             armed = queries.fraction_arming_of(db, row)
             calibration = parse_calibration(document.encode())
             plan = SessionPlan(

@@ -27,6 +27,7 @@ from service.storage.database.tables import AuditRow
 
 DECISIONS = (
     "session.create",
+    "session.simulation",
     "session.start",
     "session.reference",
     "session.position_check",

@@ -127,6 +127,22 @@ def plan_position_of(db: Session, row: SessionRow) -> FractionStart | None:
     return None if is_first else FractionStart(found[0], found[1] or "")
 
 
+def simulation_of(db: Session, row: SessionRow) -> str | None:
+    """Return the simulation day that was signed last for a session's plan, at this session or at an earlier one."""
+    of_plan = [getattr(SessionRow, name) == getattr(row, name) for name in ("patient_reference", "plan_id")]
+    query = select(SessionRow.simulation).where(
+        *of_plan, SessionRow.simulation.is_not(None), SessionRow.created_at <= row.created_at
+    )
+    return db.scalar(query.order_by(SessionRow.created_at.desc()).limit(1))
+
+
+def simulation_position_of(db: Session, row: SessionRow) -> FractionStart | None:
+    """Return the confirmed reference of the session that is the plan's simulation day; None without one."""
+    document = simulation_of(db, row)
+    found = None if document is None else db.get(SessionRow, json.loads(document)["session_id"] or "")
+    return None if found is None or found.first_reference is None else FractionStart(found.id, found.first_reference)
+
+
 def open_session_id(db: Session) -> str | None:
     """Return the id of the session that is created or running; None if there is none."""
     return db.scalar(select(SessionRow.id).where(SessionRow.status.in_(OPEN_STATUSES)).limit(1))

@@ -49,6 +49,7 @@ class SessionRow(Base):
     head_direction: Mapped[str | None] = mapped_column(String(8))
     first_reference: Mapped[str | None] = mapped_column(Text, deferred=True)
     fraction_arming: Mapped[str | None] = mapped_column(Text, deferred=True)
+    simulation: Mapped[str | None] = mapped_column(Text, deferred=True)
     continues: Mapped[str | None] = mapped_column(String(32), index=True)
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 

@@ -106,6 +106,11 @@ PROBLEMS: Mapping[tuple[str, str], str] = {
     ("GET", f"{SESSION}/waveform.dcm"): f"{REPORT} invalid_value",
     ("GET", f"{SESSION}/report.dcm"): f"{REPORT} invalid_value",
     ("POST", f"{SESSION}/send"): f"{REPORT} operator_mismatch",
+    (
+        "POST",
+        f"{SESSION}/simulation",
+    ): f"{REPORT} invalid_value operator_mismatch signer_unconfirmed locked_out login_busy",
+    ("GET", f"{SESSION}/simulation"): "not_found",
     ("GET", f"{SESSION}/picture"): "not_found picture_missing",
     ("GET", f"{SESSION}/mesh"): "not_found mesh_missing",
     ("GET", f"{SESSION}/transitions"): "not_found",

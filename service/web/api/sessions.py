@@ -22,6 +22,7 @@ from service.core.schemas.reports import (
     SessionTrace,
     SignatureRequest,
 )
+from service.core.schemas.simulations import Simulation, SimulationRequest
 from service.sessions.report.pages import report_html, report_pdf
 from service.storage.samples.service import SampleFormat
 from service.web import dependencies
@@ -91,6 +92,31 @@ def read_session(
     )  # before the session is read: it may be older than the answer, never newer
     detail = services.sessions.detail(session_id)
     return fresh.answer(detail, etag, may_be_304=detail.status != "running")
+
+
+@router.post("/{session_id}/simulation", name="session.simulation")
+def sign_simulation(
+    session_id: dependencies.SessionId,
+    request: SimulationRequest,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+    desk: dependencies.Access,
+    address: dependencies.Address,
+) -> Simulation:
+    """Sign what the plan was made on: a session or a file of the simulation day, of the same patient; for people only.
+
+    The session must not be started: a session's confirmed reference becomes the plan's position then.
+    """
+    actor = caller.checked_actor(request.operator)
+    password = None if request.password is None else request.password.get_secret_value()
+    confirmed_by = desk.confirm_signer(caller.identity, password, address)
+    return services.simulations.sign(session_id, request, actor, confirmed_by=confirmed_by)
+
+
+@router.get("/{session_id}/simulation")
+def read_simulation(session_id: dependencies.SessionId, services: dependencies.AppServices) -> Simulation:
+    """Return the simulation day of the session's plan, as it was signed last: breath, window in per cent, trace."""
+    return services.simulations.of(session_id)
 
 
 @router.post("/{session_id}/start", name="session.start")

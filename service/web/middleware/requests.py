@@ -5,6 +5,7 @@ Checks before the route: all query parameters are known, and the answer's media 
 Unknown parameters are refused: a misspelt one that is ignored would be an export without its limit.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -26,6 +27,7 @@ MAX_BODY_S = 30.0
 MAX_BODY_BYTES = 65_536
 MAX_PLAN_BYTES = 8_388_608
 """Largest RT Plan, the largest body of any call; every other one is bounded by `MAX_BODY_BYTES`."""
+SESSION_PATH = re.compile(r"(?<=/sessions/)[^/]+")
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
@@ -88,7 +90,8 @@ class RequestMiddleware:
         elif scope["type"] == "websocket":
             await self._app(scope, receive, send)
         else:
-            most = self._larger_bodies.get((scope["method"], scope["path"]), self._max_body_bytes)
+            call = (scope["method"], SESSION_PATH.sub("{session_id}", scope["path"]))
+            most = self._larger_bodies.get(call, self._max_body_bytes)
             await self._app(
                 scope,
                 _in_time(_bounded(scope, receive, most), self._max_body_s),

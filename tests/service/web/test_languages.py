@@ -28,7 +28,7 @@ MADE_OF = {
     *("action.", "alarm.", "arming.group.", "qa.", "role.", PREFIX),
     *("office.", "review.", "scope.", "checks.", "event.", "theme."),
     *("hold.", "lamp.", "moved.", "patient.", "reason.unknown"),
-    *("signal.", "sound.", "status.", "tables.kind.", "to."),
+    *("signal.", "simulation.origin.", "sound.", "status.", "tables.kind.", "to."),
 }
 """Keys that the scripts put together from a code."""
 

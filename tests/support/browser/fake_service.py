@@ -775,8 +775,9 @@ class FakeService:
         pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
         nowhere = {"is_configured": False, "items": []}
         single = {"/qa/status": self.qa, "/pacs": nowhere, **self.of_model, **self.office}
-        if method == "GET" and path in single:
-            return JSONResponse(single[path])
+        if method == "GET" and (path in single or path.endswith("/simulation")):
+            none = {"code": "not_found", "detail": "none was signed"}
+            return JSONResponse(single.get(path, none), 200 if path in single else 404)
         listed = self.models if path.endswith("/models") else pages.get(path)
         if method == "GET" and listed is not None:
             return JSONResponse({"items": listed, "next_cursor": None})

@@ -85,6 +85,8 @@ NOT_FOR_PLANNING: dict[str, str] = {
     "/api/v1/sessions/{session_id}/note": "a person notes what they looked at",
     "/api/v1/sessions/{session_id}/signature": "a person signs what they looked at",
     "/api/v1/sessions/{session_id}/send": "a person sends what they looked at",
+    "POST /api/v1/sessions/{session_id}/simulation": "a person signs what they looked at",
+    "/api/v1/sessions/{session_id}/simulation": "for eyes",
     "/api/v1/pacs": "for people who look after the PACS",
     "/api/v1/machine": "for people who look after the machine",
     "/healthz": "a watchdog's",

@@ -4,6 +4,7 @@ Calls made up by a machine hardly ever name a thing that is there: the world tel
 sees before a call that it is there.
 """
 
+import base64
 import contextlib
 import itertools
 import json
@@ -26,9 +27,11 @@ from service.access.login.logins import LoginService
 from service.access.service import AccessService
 from service.core.permissions import KEY_PERMISSIONS, Role
 from service.core.settings.settings import Settings
+from service.exchange.dicom import waveform
 from service.sessions.views.live import NODE_COLUMNS, NODE_ROWS
 from service.web.app import create_app
 from service.web.dependencies import Services
+from tests.support.exchange.session_curve import breathing_curve, subject
 from tests.support.planning.dicom_plans import photon_plan, written
 from tests.support.qa.fake_rig import FakeRig, qa_files
 from tests.support.qa.sample_runs import BASELINE, report
@@ -45,7 +48,8 @@ ENDS_LOG_INS = frozenset(
     {"log_out", "change_password", "end_my_login", "end_user_login", "change_user", "revoke_key", "log_in"}
 )
 """Made by somebody who is thrown away afterwards."""
-NEEDS_NO_SESSION = frozenset({"create_session", "start_session", "start_qa_run", "fix_qa_baseline", "prepare_session"})
+OF_THE_CREATED = frozenset({"start_session", "sign_simulation", "read_simulation"})
+NEEDS_NO_SESSION = OF_THE_CREATED | {"create_session", "start_qa_run", "fix_qa_baseline", "prepare_session"}
 OF_THE_ENDED = {"add_note", "read_trace", "read_moment", "export_waveform", "send_session"}
 """Calls about a session that is over, beside those about a report."""
 
@@ -120,8 +124,10 @@ class World:
             self._end_qa_run()
         if operation in NEEDS_NO_SESSION:
             self._end_session()
-        if operation == "start_session":
+        if operation in OF_THE_CREATED:
             self.known["session_id"] = self._create_session()
+            if operation == "read_simulation":
+                self._post(f"{V1}/sessions/{self.known['session_id']}/simulation", self._simulation_body())
         elif operation in {"start_qa_run", "cancel_qa_run"}:
             self._end_session()
             self._end_qa_run()
@@ -168,6 +174,7 @@ class World:
             "add_note": lambda _: self._note_body(),
             "sign_report": lambda _: self._note_body() | {"meaning": "checked", "password": PASSWORD},
             "send_session": lambda _: {"content_sha256": self._note_body()["content_sha256"]},
+            "sign_simulation": lambda _: self._simulation_body(),
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -296,6 +303,11 @@ class World:
         report = self._services.reports.of(self.known["ended_session_id"]).report
         return {"note": "calm breathing", "content_sha256": report.content_sha256}
 
+    def _simulation_body(self) -> dict[str, Any]:
+        patient = self._session_body()["patient_reference"]
+        raw = waveform(subject(patient_id=patient), breathing_curve())
+        return {"file": base64.b64encode(raw).decode(), "password": PASSWORD}
+
     def _log_in_body(self) -> dict[str, Any]:
         open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})
         return {"name": "Somebody who logs in", "password": PASSWORD}
@@ -308,8 +320,8 @@ class World:
         assert answer.status_code == 201, answer.text
         return dict(answer.json())
 
-    def _post(self, path: str) -> Any:
-        return self.send("POST", path, {})
+    def _post(self, path: str, body: object = None) -> Any:
+        return self.send("POST", path, body or {})
 
     def _login_of(self, headers: Mapping[str, str]) -> str:
         answer = self.client.get(f"http://{asgi.HOST}{V1}/me/logins", headers=dict(headers))

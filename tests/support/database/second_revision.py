@@ -8,7 +8,7 @@ from pathlib import Path
 import migrations as package
 from service.storage.database import migrations
 
-FIRST, SECOND = "0002", "0003"
+FIRST, SECOND = "0003", "0004"
 TITLE = "Made up: a table, and a column of the sessions."
 SCRIPT = f'''"""{TITLE}"""
 

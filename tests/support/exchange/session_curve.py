@@ -1,11 +1,13 @@
 """A session's breathing curve, whom it is about, and its report, as an export has them."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from service.exchange.curve import BreathingCurve
 from service.exchange.dicom import Subject
+from tests.support.exchange.breaths import breath
 
 BEGUN = datetime(2026, 11, 27, 9, 30, 0, 250_000, tzinfo=UTC)
 PDF = b"%PDF-1.7\n% a report of odd length\n%%EOF"
@@ -44,3 +46,20 @@ def subject(**changed):
         "begun_at": BEGUN,
     }
     return Subject(**given | changed)
+
+
+def breathing_curve():
+    """A breath of 8 mm over an exhale at 2 mm; the beam was on from 20 to 50 % of it."""
+    at, motion = breath()
+    given = dict.fromkeys(("whole", "thorax", "abdomen"), motion + 2.0)
+    gates = np.where((motion >= 1.6) & (motion <= 4.0), "beam_on", "hold").astype(object)
+    none = np.full(len(at), "", dtype=object)
+    return replace(
+        curve(),
+        time_s=at,
+        motion_mm=given,
+        phase=np.full(len(at), np.nan),
+        gates=gates,
+        reasons=none,
+        is_on=gates == "beam_on",
+    )

@@ -107,6 +107,9 @@ const SAMPLES_TIMEOUT_MS = 60_000;
 export const readReport = (id) => call("GET", `${session(id)}/report`);
 /** A part of a session's trace, in at most `points` ranges. @param {{from_s?: number, to_s?: number, points: number}} part */
 export const readTrace = (id, part) => call("GET", `${session(id)}/trace?${new URLSearchParams(part)}`);
+export const readSimulation = (id) => call("GET", `${session(id)}/simulation`);
+/** Sign a session or a file as the simulation day. @param {object} request as the contract's SimulationRequest */
+export const signSimulation = (id, request) => call("POST", `${session(id)}/simulation`, request);
 export const readSent = () => call("GET", "/pacs");
 export const sendReport = (id, operator, content) => call("POST", `${session(id)}/send`, { operator, content_sha256: content });
 export const readMoment = (id, atS) => call("GET", `${session(id)}/moment?${new URLSearchParams({ at_s: atS.toFixed(3) })}`);

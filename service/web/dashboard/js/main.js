@@ -6,6 +6,7 @@ import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
 import { listSessions, readArming, readSession } from "./api.js";
 import { DataTables } from "./panels/data_tables.js";
+import { SimulationPanel } from "./panels/simulation.js";
 import { hideCovered } from "./drawing/covered.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
@@ -78,6 +79,7 @@ const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const tables = new DataTables(trace);
+const simulation = new SimulationPanel(trace, windowEditor, access);
 const quality = new ModelQuality();
 const setup = new Setup(access, select);
 const summary = new Summary(access, select, uncoverReport);
@@ -150,6 +152,7 @@ function leave() {
   summary.forget();
   keyList.close();
   tables.close();
+  simulation.close();
   quality.follow(null);
   controls.forget();
   qa.forget();
@@ -162,7 +165,7 @@ function uncoverReport({ id }, isBroken) {
 
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
 function closeTopmost() {
-  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close() || quality.close()) return true;
+  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close() || simulation.close() || quality.close()) return true;
   for (const [panel, hide] of [["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
     if (byId(panel) === null || byId(panel).hidden) continue;
     hide();
@@ -425,6 +428,7 @@ function drawPanels(nowMs, view, sample) {
   renderWho(view);
   renderTraceValue(sample);
   tables.tend(sample, session, nowMs);
+  simulation.tend(sample, session, nowMs);
   quality.follow(session?.status === "running" ? session.active_model_id ?? null : null);
   hideCovered(document.querySelector(".room"));
 }

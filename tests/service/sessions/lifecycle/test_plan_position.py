@@ -13,7 +13,8 @@ from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.position_check import PositionCheck, PositionTolerance
 from engine.core.reference import NODES, FirstReference, ReferenceMoment
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
-from tests.support.service.accounts import headers_of, open_login
+from tests.support.exchange.session_curve import breathing_curve
+from tests.support.service.accounts import PASSWORD, QuickHashing, headers_of, open_login
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.waiting import eventually
 
@@ -66,6 +67,26 @@ def test_a_later_fraction_of_the_plan_gets_its_position(client, engine, calibrat
     assert plan.first_reference is None
     started = audit_rows(client, "session.start")[-1]
     assert (started["session_id"], started["detail"]["position_of_session"]) == (session_id, first_fraction)
+
+
+@pytest.mark.both_databases
+def test_the_simulation_day_s_position_is_the_plan_s_from_the_first_fraction_on(
+    client, engine, calibration_id, first_fraction, monkeypatch
+):
+    monkeypatch.setattr(client.desk.logins, "_hashing", QuickHashing())
+    monkeypatch.setattr(client.app.state.services.exports, "curve", lambda _: breathing_curve())
+    other = make_session_body(calibration_id) | {"plan_id": "PLAN-2"}
+    for fraction in ("FX-1", "FX-2"):
+        session_id = client.post(URL, json=other | {"fraction_id": fraction}).json()["id"]
+        if fraction == "FX-1":
+            body = {"operator": "A. Therapist", "session_id": first_fraction, "password": PASSWORD}
+            signed = client.post(f"{URL}/{session_id}/simulation", json=body)
+            assert signed.json()["has_position"], signed.text
+        assert act(client, session_id, "start").status_code == 200
+        plan = engine.running.plan
+        assert np.array_equal(plan.plan_position.surface_mm, PLAN.surface_mm)
+        assert plan.plan_session_id == first_fraction
+        act(client, session_id, "stop")
 
 
 @pytest.mark.parametrize(

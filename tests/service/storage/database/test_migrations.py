@@ -129,7 +129,7 @@ def test_tables_of_a_newer_version_are_refused_in_plain_words_and_left_alone(dat
 @pytest.mark.usefixtures("second")
 def test_where_a_database_stands_is_reported_with_what_is_still_to_come(database):
     with database.connect() as connection:
-        assert schema_status(connection).ahead == ("0001", FIRST, SECOND)
+        assert schema_status(connection).ahead == ("0001", "0002", FIRST, SECOND)
         assert schema_status(connection).revision is None
     database.migrate(FIRST)
     with database.connect() as connection:

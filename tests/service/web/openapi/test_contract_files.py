@@ -17,6 +17,7 @@ POSTS = {
     "/api/v1/sessions/{session_id}/start",
     "/api/v1/sessions/{session_id}/note",
     "/api/v1/sessions/{session_id}/send",
+    "/api/v1/sessions/{session_id}/simulation",
     "/api/v1/sessions/{session_id}/signature",
     "/api/v1/sessions/{session_id}/arm",
     "/api/v1/sessions/{session_id}/disarm",

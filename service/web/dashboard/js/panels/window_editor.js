@@ -139,6 +139,16 @@ export class WindowEditor {
     this.form.elements.lower.focus();
   }
 
+  /** Open with edges in per cent of the breath, for a person to apply. @returns {boolean} whether it is open */
+  offer(lower, upper) {
+    if (!this.isOpen) this.#open();
+    if (!this.isOpen) return false;
+    this.unit = this.form.elements.unit.value = "percent";
+    this.#enter(lower, upper);
+    this.#show();
+    return true;
+  }
+
   /** End of exhale and end of inhale against the reference, from the proposed references; null until both are known. */
   #range() {
     const [low, high] = ["end_exhale", "end_inhale"].map((at) => this.session?.reference_proposals?.find((one) => one.at === at));
