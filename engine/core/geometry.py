@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import FloatArray, frozen
 
 # Each step leaves a tenth of the error at most, with lenses of this kind.
@@ -58,7 +58,7 @@ class Intrinsics:
         FloatArray
             (x/z, y/z, 1), shape (N, 3), float64.
         """
-        compiled = kernels()
+        compiled = FramePath.kernels
         if compiled is not None:
             rays = np.empty((len(pixels_px), 3))
             compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), self.constants, self.steps, rays)
@@ -114,7 +114,7 @@ def least_squares(terms: FloatArray, values: FloatArray) -> FloatArray:
 
     Of several answers the shortest. NaN raises `numpy.linalg.LinAlgError` or gives NaN, as numpy's does.
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         weights = np.empty(len(terms))
         if compiled.least_squares(np.ascontiguousarray(terms), np.ascontiguousarray(values), weights):

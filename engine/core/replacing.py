@@ -13,7 +13,7 @@ else:
     from operator import attrgetter
     from types import MemberDescriptorType
 
-    from engine.core.compiled import kernels
+    from engine.core.compiled import FramePath
 
     T = TypeVar("T")
 
@@ -30,7 +30,7 @@ else:
         """Return a new value of the same dataclass, of two fields or more, with some of them changed."""
         kind = value.__class__
         known = _FIELDS.get(kind) or _look_up(kind)
-        compiled = kernels()
+        compiled = FramePath.kernels
         if known.slots and compiled is not None:
             copy = compiled.replaced(value, known.names, known.slots, changes)
             if copy is not None:

@@ -63,5 +63,5 @@ def _is_copied(one: object) -> bool:
     return isinstance(one, np.ndarray) and one.flags.c_contiguous and one.size > 0
 
 
-if compiled.kernels() is not None:
-    compiled._Path.kernels = Guarded(compiled.kernels())
+if compiled.FramePath.kernels is not None:
+    compiled.FramePath.kernels = Guarded(compiled.FramePath.kernels)

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.errors import RecordingError
 from engine.core.frames import ColorImage, DepthImage
 
@@ -184,7 +184,7 @@ def decode_16zt(payload: bytes | memoryview, shape: tuple[int, int]) -> DepthIma
     RecordingError
         These bytes are no such picture.
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None and 0 not in shape:
         picture = np.empty(shape, dtype=np.uint16)
         if compiled.decode_16zt(payload, picture):

@@ -59,28 +59,26 @@ def _built() -> tuple[ModuleType | None, str]:
     return found, f"compiled {found.SOURCE_DIGEST}"
 
 
-class _Path:
-    """The path that runs in this process."""
+class FramePath:
+    """The path that runs in this process: its name, and the compiled functions, None where the numpy forms run.
+
+    An attribute and no call: it is read some forty times a frame.
+    """
 
     kernels, name = _load(os.environ.get(VARIABLE, AUTO))
 
 
-def kernels() -> ModuleType | None:
-    """Return the compiled functions; None where the numpy forms run."""
-    return _Path.kernels
-
-
 def frame_path() -> str:
     """Return the name of the path that runs: the compiled one with the digest of its sources, or why it is numpy's."""
-    return _Path.name
+    return FramePath.name
 
 
 @contextmanager
 def numpy_forms() -> Iterator[None]:
     """Run the numpy forms inside the block, in the whole process: for comparing both paths."""
-    before = _Path.kernels, _Path.name
-    _Path.kernels, _Path.name = None, CHOSEN
+    before = FramePath.kernels, FramePath.name
+    FramePath.kernels, FramePath.name = None, CHOSEN
     try:
         yield
     finally:
-        _Path.kernels, _Path.name = before
+        FramePath.kernels, FramePath.name = before

@@ -44,6 +44,8 @@ PyObject *finish(Arrays *arrays, PyObject *result);
 PyObject *decode_16zt(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *differs_little(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t count);

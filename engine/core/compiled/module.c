@@ -12,6 +12,8 @@ static PyMethodDef methods[] = {
     FUNCTION(decode_16zt),
     FUNCTION(refine_markers),
     FUNCTION(sample_chroma),
+    FUNCTION(differs_little),
+    FUNCTION(is_gray),
     FUNCTION(changed_cells),
     FUNCTION(scene_blocks),
     FUNCTION(scene_movement),

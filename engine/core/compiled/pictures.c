@@ -580,3 +580,71 @@ PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
     }
     return finish(&arrays, Py_None);
 }
+
+#define STRIDE 64 /* readings between two looks at how many differ */
+
+/* Whether some earlier picture differs from the readings, where these are any, in `most` of them or fewer. */
+WIDE_VECTORS
+static int some_differs_little(const uint16_t *earlier, Py_ssize_t pictures, const uint16_t *readings, Py_ssize_t n,
+                               Py_ssize_t most)
+{
+    for (Py_ssize_t i = 0; i < pictures; i++, earlier += n) {
+        Py_ssize_t different = 0;
+        for (Py_ssize_t first = 0; first < n && different <= most; first += STRIDE) {
+            Py_ssize_t end = first + STRIDE < n ? first + STRIDE : n;
+            uint16_t part = 0;
+            for (Py_ssize_t at = first; at < end; at++)
+                part = (uint16_t)(part + ((earlier[at] != readings[at]) & (readings[at] != 0)));
+            different += part;
+        }
+        if (different <= most)
+            return 1;
+    }
+    return 0;
+}
+
+PyObject *differs_little(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 3, "differs_little"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *earlier = array_of(&arrays, args[0], "earlier", 'H', 2);
+    Py_buffer *readings = array_of(&arrays, args[1], "readings", 'H', 1);
+    Py_ssize_t most = whole_of(&arrays, args[2], "most_different", 0, PY_SSIZE_T_MAX);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    require(&arrays, earlier->shape[1] == readings->shape[0], "earlier must have a row of as many readings a picture");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    int is_old = some_differs_little(earlier->buf, earlier->shape[0], readings->buf, readings->shape[0], most);
+    return finish(&arrays, is_old ? Py_True : Py_False);
+}
+
+PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 4, "is_gray"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
+    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
+    Py_ssize_t equal = whole_of(&arrays, args[2], "equal", 0, 255);
+    double most_equal = number_of(&arrays, args[3], "most_equal");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    require(&arrays, color->shape[2] == 3, "color must have three channels");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t rows = color->shape[0], columns = color->shape[1], coloured = 0;
+    Py_ssize_t all = ((rows + step - 1) / step) * ((columns + step - 1) / step);
+    double most_coloured = (1.0 - most_equal) * (double)all;
+    for (Py_ssize_t row = 0; row < rows && (double)coloured <= most_coloured; row += step)
+        for (Py_ssize_t column = 0; column < columns; column += step) {
+            const uint8_t *pixel = (const uint8_t *)color->buf + (row * columns + column) * 3;
+            uint8_t least = whiteness(pixel), most = pixel[0] > pixel[1] ? pixel[0] : pixel[1];
+            most = most > pixel[2] ? most : pixel[2];
+            coloured += most - least > equal;
+        }
+    return finish(&arrays, (double)(all - coloured) / (double)all > most_equal ? Py_True : Py_False);
+}

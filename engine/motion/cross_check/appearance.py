@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import ColorImage, FloatArray, frozen
 from engine.motion.stages.roi import color_from_grid
 
@@ -99,7 +99,7 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
     """
     if _is_gray(color):
         return np.full((CELL_ROWS * CELL_COLUMNS, 2), np.nan, dtype=np.float32)
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _chroma_of(color, markers_px.astype(np.float32))
     chroma = np.empty((CELL_ROWS * CELL_COLUMNS, 2), dtype=np.float32)
@@ -111,10 +111,10 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
 
 
 def _is_gray(color: ColorImage) -> bool:
-    """Whether the channels are equal nearly everywhere; three pixels tell most pictures that have a colour."""
-    height, width = color.shape[:2]
-    if all(max(one) - min(one) > EQUAL for one in color[height // 2, width // 4 :: max(width // 4, 1)].tolist()):
-        return False
+    """Whether the channels are equal nearly everywhere."""
+    compiled = FramePath.kernels
+    if compiled is not None:
+        return bool(compiled.is_gray(np.ascontiguousarray(color), PICTURE_STEP_PX, EQUAL, MOST_EQUAL))
     part = color[::PICTURE_STEP_PX, ::PICTURE_STEP_PX]
     return float((part.max(axis=2) - part.min(axis=2) <= EQUAL).mean()) > MOST_EQUAL
 
@@ -136,7 +136,7 @@ def changed_share(before: Chroma, now: Chroma, newest: Chroma) -> float:
     Lines are left out: a positioning laser that wanders over the skin is no object. ``newest`` takes the present
     colour; a cell that is dark now keeps the colour it was last seen in.
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         changed: int = compiled.changed_cells(
             before,

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, RoiDepth, frozen
 from engine.core.geometry import least_squares
 
@@ -93,7 +93,7 @@ class BreathingShapes:
 
     def change(self, before_mm: FloatArray, now_mm: FloatArray) -> SurfaceChange | None:
         """Return the change between two surfaces of cell means [mm], shape (cells,); None with too few common cells."""
-        compiled = kernels()
+        compiled = FramePath.kernels
         if compiled is None:
             return self._change(now_mm - before_mm)
         weights, misfit_mm, spreads_mm = np.empty(FIRST_TERMS), np.empty(CELLS), np.empty(3)
@@ -209,7 +209,7 @@ def shapes_of(model: StoredModes) -> BreathingShapes:
 def cell_means(roi: RoiDepth) -> FloatArray:
     """Return the mean depth of each cell [mm], row by row from superior right, shape (cells,); NaN if hardly seen."""
     thin = roi.thinned(STRIDE_PX)
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _means(thin.depth_mm, thin.valid)
     means_mm = np.empty((CELL_ROWS, CELL_COLUMNS))

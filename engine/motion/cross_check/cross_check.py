@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.calibration.camera_calibration import Calibration
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import (
     ROI_COLUMNS,
     ROI_ROWS,
@@ -373,7 +373,7 @@ def _marker_places_mm(
 
     They are taken to be about as far away as the deepest of them, by the cells.
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         places_mm = rays * _percentile(cells_mm[np.isfinite(cells_mm)], MARKER_PERCENTILE)
         return places_mm, depth_from_color.apply(places_mm) if np.isfinite(places_mm).all() else None
@@ -422,7 +422,7 @@ def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
 
 def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
     """Return the largest mean of any marker's changes, shapes (4,), over the frames that saw it; NaN where none did."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         mean_mm: float = compiled.largest_mean(changes_mm)
         return mean_mm
@@ -437,7 +437,7 @@ def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
 
 def _mean(values: list[FloatArray]) -> FloatArray:
     """Return the mean of each cell over the frames that saw it; NaN where fewer than half of them did."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         mean = np.empty(len(values[0]))
         compiled.mean_cells(values, mean)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import BoolArray, DepthImage, FloatArray
 from engine.core.geometry import Intrinsics
 
@@ -186,7 +186,7 @@ def _lower_end_mm(depth_mm: FloatArray) -> float | None:
 
 def _movement(reference: _Reference, depth_mm: DepthImage, points_mm: FloatArray) -> FloatArray | None:
     """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         moved_mm = np.empty(len(points_mm))
         is_fitted = compiled.scene_movement(
@@ -253,7 +253,7 @@ def _terms(points_mm: FloatArray) -> FloatArray:
 
 def _blocks_mm(depth_mm: DepthImage) -> FloatArray:
     """Return the mean depth of each block [mm], row by row; NaN where a reading is missing."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _mean_blocks_mm(depth_mm)
     blocks_mm = np.empty((depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX))

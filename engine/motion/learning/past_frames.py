@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.reference_proposals import MAX_AGE_US, MAX_GAP_US, PastMotion, ReferenceProposals
@@ -99,7 +99,7 @@ def place_of(frame: TrainingFrame, vertices: Vertices) -> Place:
 
 def mean_depth_mm(roi: RoiDepth) -> float:
     """Return the mean depth of what was seen [mm]; NaN where nothing was."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         mean_mm: float = compiled.mean_depth(np.ascontiguousarray(roi.depth_mm), np.ascontiguousarray(roi.valid))
         return mean_mm

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, SeenShares, frozen
 from engine.core.motion_model import MotionModel
 from engine.motion.named_regions import coverage
@@ -68,7 +68,7 @@ class SeenWeights:
         seen
             Whether each sampled point was seen, or the share of several frames in which it was, shape (88, 50).
         """
-        compiled = kernels()
+        compiled = FramePath.kernels
         if compiled is None or seen.dtype != np.bool_:
             return self._shares(seen.astype(np.float32))
         shares = np.empty(len(self.rows) * self.columns.shape[1] + len(self.others), dtype=np.float32)
@@ -205,7 +205,7 @@ class PreparedModel:
 
     def depths_mm(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the depth at the nodes and of the regions [mm], for coefficients of shape (k + e,)."""
-        compiled, regions = kernels(), self.regions
+        compiled, regions = FramePath.kernels, self.regions
         if compiled is None:
             return self.node_depth_mm(coefficients), regions.depth_mm(coefficients)
         nodes_mm, regions_mm = np.empty(len(self.node_mean_mm)), np.empty(len(regions.mean_mm))

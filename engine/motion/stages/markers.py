@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import BoolArray, ColorImage, FloatArray, Lost, LostReason, Markers
 from engine.core.sentences import listed, say
 
@@ -269,7 +269,7 @@ def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> l
     """Iterate to the centre of the sticker near each start, shape (N, 2) [px], and validate it."""
     stencil = _stencil(round(0.5 * search.diameter_px / RADIUS_STEP_PX))
     starts_px = np.ascontiguousarray(starts_px, dtype=np.float64).reshape(-1, 2)
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _refine_together(color, starts_px, stencil, search)
     found, is_found = np.empty((len(starts_px), 8)), np.empty(len(starts_px), dtype=np.bool_)

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import FloatArray, PhaseLag, frozen
 from engine.core.replacing import replace
 
@@ -229,7 +229,7 @@ def _summit(around: FloatArray) -> float:
 
 def _correlations(a: FloatArray, b: FloatArray) -> FloatArray:
     """Pearson's correlation of ``a`` shifted by -(n - 1) to n - 1 with ``b``, over the overlap, shape (2n - 1,)."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _correlate(a, b)
     correlations = np.empty(2 * len(a) - 1)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.core.locking_curve import corrected
 from engine.core.motion_model import MotionModel
@@ -200,7 +200,7 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None, noise_mm: flo
 
 def _projected(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
     """Find the coefficients; the residual is that of the readings, with all of their noise."""
-    if kernels() is None:
+    if FramePath.kernels is None:
         return _project_or_none(basis, thin, start)
     coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
     is_projected = _project_compiled(basis, thin, start, (coefficients, is_seen, figures))
@@ -223,7 +223,7 @@ def _project_compiled(
     basis: Basis, thin: RoiDepth, start: FloatArray | None, results: tuple[FloatArray, BoolArray, FloatArray]
 ) -> bool | None:
     """Fill the coefficients, the inliers and their numbers; None where the numpy form has to."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     assert compiled is not None
     is_projected: bool | None = compiled.project(
         basis.sampled_components,

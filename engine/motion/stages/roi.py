@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import (
     NODE_COLUMNS,
     NODE_ROWS,
@@ -82,7 +82,7 @@ def color_from_grid(centers_px: FloatArray, right: float, bottom: float) -> Floa
 def roi_nodes(centers_px: FloatArray) -> FloatArray:
     """Return the colour pixels (x, y) of the region's nodes [px], shape (nodes, 2)."""
     homography = color_from_roi(centers_px)
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         nodes_px = np.empty(_NODES_FLAT.shape)
         compiled.map_points(homography, _NODES_FLAT, nodes_px)
@@ -127,7 +127,7 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
         A point is valid where all four depth pixels around it have a reading; if too few points have, then where
         readings carry at least half of the interpolation weight. Holes never enter the interpolation.
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _cut_out(depth_mm, nodes_px, table_mm, stride_px)
     shape = -(-ROI_ROWS // stride_px), -(-ROI_COLUMNS // stride_px)
@@ -211,7 +211,7 @@ def align(
     expected_depth_mm
         Expected depth along the depth camera's axis [mm], shape (N,).
     """
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _align(color_rays, expected_depth_mm, depth_from_color, depth_camera)
     pixels_px, rays = np.empty((2, len(color_rays), 2))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import FloatArray, frozen
 
 MM3_PER_L = 1_000_000.0
@@ -78,7 +78,7 @@ def vertices_mm(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
 
 def node_surface_mm(rays: FloatArray, depth_mm: FloatArray, rows: int, columns: int, share: float) -> FloatArray:
     """Return the vertices at the nodes' depth, with the last row and column moved to the markers: both of the above."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return vertices_mm(end_at_markers(rays, rows, columns, share), depth_mm)
     vertices = np.empty((rows * columns, 3))
@@ -88,7 +88,7 @@ def node_surface_mm(rays: FloatArray, depth_mm: FloatArray, rows: int, columns: 
 
 def volume_l(vertices: FloatArray, triangles: npt.NDArray[np.intp], plane_mm: float) -> float:
     """Volume between a surface and the plane at depth ``plane_mm`` [l]; positive in front of the plane."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _volume_l(vertices, triangles, plane_mm)
     volume_mm3: float = compiled.mesh_volume(np.ascontiguousarray(vertices), triangles, plane_mm)

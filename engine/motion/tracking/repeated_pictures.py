@@ -9,7 +9,7 @@ A picture may be old in part: a torn buffer, or one that was updated by half. So
 a tile whose readings were new in nearly all pictures so far, and are all those of one earlier picture, is old.
 """
 
-import itertools
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from engine.core.compiled import FramePath
 from engine.core.frames import Lost, LostReason, RgbdFrame
 from engine.core.sentences import say
 
@@ -54,27 +55,16 @@ class _Stream:
     """The last pictures of one stream.
 
     ``repeats`` counts the repeated pictures since the last new one; ``is_in_part`` is whether only tiles of the newest
-    are old. ``views`` holds the thinned views of the last new
-    pictures, and ``readings`` those of depth, shape (pictures, readings). Of depth also: ``tiles`` are its less thinned
-    views, ``pieces`` the thinned readings of the newest picture tile by tile, ``slots`` the newest picture that had the
-    same, and ``new_share``, over ``compared`` pictures, the share of those in the last second in which a tile was new.
+    are old. ``views`` holds the thinned views of the last new pictures.
     """
 
     is_depth: bool
     picture: Picture | None = None
     views: deque[bytes] = field(default_factory=lambda: deque(maxlen=EARLIER_PICTURES))
-    readings: Picture | None = None
-    oldest: int = 0
+    depths: "_Depths | None" = None
     timestamp_us: int | None = None
     repeats: int = 0
     is_in_part: bool = False
-    tiles: "list[Picture | None]" = field(default_factory=lambda: [None] * EARLIER_PICTURES)
-    pieces: tuple[bytes, ...] = ()
-    kept_pieces: deque[tuple[bytes, ...]] = field(default_factory=deque)
-    slots: dict[tuple[int, bytes], int] = field(default_factory=dict)
-    new_share: list[float] = field(default_factory=lambda: [0.0] * (TILE_ROWS * TILE_COLUMNS))
-    compared: int = 0
-    places: "_Places | None" = None
 
     def check(self, picture: Picture, timestamp_us: int) -> None:
         if timestamp_us == self.timestamp_us:
@@ -82,17 +72,20 @@ class _Stream:
         self.timestamp_us = timestamp_us
         readings = picture[::THINNING_PX, ::THINNING_PX].flatten()
         view = readings.tobytes()
-        if self.is_depth:
-            self.pieces = self._pieces(readings, picture)
-        is_old = any(view) and (self._was_seen(view, picture) or (self.is_depth and self._is_nearly_old(readings)))
-        self.is_in_part = self.is_depth and not is_old and any(view) and self._is_old_in_part(readings, picture)
+        depths = self._depths_of(picture.shape) if self.is_depth else None
+        is_read = any(view)
+        is_old = is_read and (self._was_seen(view, picture) or (depths is not None and depths.has_nearly(readings)))
+        prints = None if depths is None else depths.places.prints(readings)
+        self.is_in_part = (
+            depths is not None and prints is not None and is_read and not is_old and depths.has_part(prints, picture)
+        )
         self.picture = picture
         if is_old or self.is_in_part:
             self.repeats += 1
             return
         self.views.append(view)
-        if self.is_depth:
-            self._keep(readings, picture)
+        if depths is not None and prints is not None:
+            depths.keep(readings, prints, picture)
         self.repeats = 0
 
     def _was_seen(self, view: bytes, picture: Picture) -> bool:
@@ -102,35 +95,62 @@ class _Stream:
         is_next_to_last = self.repeats == 0 and view == self.views[-1]
         return not is_next_to_last or (self.picture is not None and np.array_equal(self.picture, picture))
 
-    def _comparable(self, readings: Picture) -> Picture | None:
-        """Return the readings of the last new pictures; None of another size, or where there is too little to tell."""
-        if self.readings is None or self.readings.shape[1] != readings.size:
-            return None
-        return self.readings if np.count_nonzero(readings) >= LEAST_READINGS else None
+    def _depths_of(self, shape: tuple[int, ...]) -> "_Depths":
+        if self.depths is None or self.depths.places.shape != shape:
+            self.depths = _Depths(places=_Places.of(shape))
+        return self.depths
 
-    def _is_nearly_old(self, readings: Picture) -> bool:
-        """Whether nearly all of its readings agree with those of one of the last new pictures."""
-        earlier = self._comparable(readings)
-        if earlier is None:
+
+@dataclass(slots=True, kw_only=True)
+class _Depths:
+    """The last new depth pictures of one size, in rings of `EARLIER_PICTURES`.
+
+    ``readings`` are their thinned views, ``prints`` fingerprints of these by tile, and ``tiles`` less thinned views.
+    ``new_share``, over ``compared`` pictures, is the share of those in the last second in which a tile was new.
+    """
+
+    places: "_Places"
+    readings: Picture = field(init=False)
+    prints: npt.NDArray[np.uint64] = field(init=False)
+    tiles: "list[Picture | None]" = field(default_factory=lambda: [None] * EARLIER_PICTURES)
+    new_share: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(TILE_ROWS * TILE_COLUMNS))
+    oldest: int = 0
+    compared: int = -1
+
+    def __post_init__(self) -> None:
+        """Make the rings."""
+        self.readings = np.zeros((EARLIER_PICTURES, self.places.order.size), dtype=np.uint16)
+        self.prints = np.zeros((EARLIER_PICTURES, TILE_ROWS * TILE_COLUMNS), dtype=np.uint64)
+
+    def has_nearly(self, readings: Picture) -> bool:
+        """Whether nearly all readings of a picture agree with those of one of the last new ones."""
+        count = int(np.count_nonzero(readings))
+        if count < LEAST_READINGS:
             return False
-        is_read = (readings > 0).astype(np.float32)
-        # A product of matrices counts the agreeing readings twice as fast as a sum of booleans does.
-        agreeing = (earlier == readings).astype(np.float32) @ is_read
-        return bool(agreeing.max() >= OLD_SHARE * is_read.sum())
+        most_different = count - math.ceil(OLD_SHARE * count - 1e-9)
+        compiled = FramePath.kernels
+        if compiled is not None:
+            return bool(compiled.differs_little(self.readings, readings, most_different))
+        different = (self.readings != readings) & (readings > 0)
+        return bool(np.count_nonzero(different, axis=1).min() <= most_different)
 
-    def _is_old_in_part(self, readings: Picture, picture: Picture) -> bool:
+    def has_part(self, prints: npt.NDArray[np.uint64], picture: Picture) -> bool:
         """Whether a tile's readings are all those of an earlier picture, of tiles that are known to change."""
-        if self.compared < LEAST_COMPARED or self._comparable(readings) is None:
+        if self.compared < LEAST_COMPARED:
             return False
-        found = ((tile, self.slots.get((tile, piece))) for tile, piece in enumerate(self.pieces))
+        is_like = (self.prints == prints) & (self.new_share >= NEW_SHARE)
+        if not is_like.any():
+            return False
+        newest_first = (self.oldest - 1 - np.arange(EARLIER_PICTURES)) % EARLIER_PICTURES
+        found = is_like[newest_first]
         return any(
-            slot is not None and self.new_share[tile] >= NEW_SHARE and self._tile_agrees(slot, tile, picture)
-            for tile, slot in found
+            self._tile_agrees(int(newest_first[found[:, tile].argmax()]), int(tile), picture)
+            for tile in np.flatnonzero(found.any(axis=0))
         )
 
     def _tile_agrees(self, slot: int, tile: int, picture: Picture) -> bool:
         earlier = self.tiles[slot]
-        if earlier is None or self.places is None:
+        if earlier is None:
             return False
         rows, columns = self.places.tiles[tile]
         now, before = picture[::TILE_PX, ::TILE_PX][rows, columns], earlier[rows, columns]
@@ -138,56 +158,33 @@ class _Stream:
         count = np.count_nonzero(is_read)
         return bool(count >= LEAST_OF_A_TILE and np.count_nonzero((now == before) & is_read) >= OLD_TILE_SHARE * count)
 
-    def _keep(self, readings: Picture, picture: Picture) -> None:
-        """Keep the readings of a new picture in place of the oldest."""
-        if self.readings is None or self.readings.shape[1] != readings.size:
-            self.readings = np.zeros((EARLIER_PICTURES, readings.size), dtype=readings.dtype)
-            self.oldest = self.compared = 0
-            self.tiles, self.new_share = [None] * EARLIER_PICTURES, [0.0] * (TILE_ROWS * TILE_COLUMNS)
-            self.slots.clear()
-            self.kept_pieces.clear()
-        pieces = self.pieces
-        if self.kept_pieces:
-            self._note_changes(pieces, picture)
-        if len(self.kept_pieces) == EARLIER_PICTURES:
-            for tile, piece in enumerate(self.kept_pieces.popleft()):
-                if self.slots.get((tile, piece)) == self.oldest:
-                    del self.slots[tile, piece]
-        self.kept_pieces.append(pieces)
-        self.slots.update(dict.fromkeys(enumerate(pieces), self.oldest))
+    def keep(self, readings: Picture, prints: npt.NDArray[np.uint64], picture: Picture) -> None:
+        """Keep a new picture in place of the oldest, and note which of its tiles are new against the one before."""
+        before = (self.oldest - 1) % EARLIER_PICTURES
+        self.compared += 1
+        if self.compared > 0:
+            is_new = self.prints[before] != prints
+            for tile in np.flatnonzero(~is_new):
+                is_new[tile] = not self._tile_agrees(before, int(tile), picture)
+            self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (is_new - self.new_share)
         self.readings[self.oldest] = readings
+        self.prints[self.oldest] = prints
         self.tiles[self.oldest] = picture[::TILE_PX, ::TILE_PX].copy()
         self.oldest = (self.oldest + 1) % EARLIER_PICTURES
-
-    def _note_changes(self, pieces: tuple[bytes, ...], picture: Picture) -> None:
-        """Note which tiles are new against the picture before."""
-        before, slot = self.kept_pieces[-1], (self.oldest - 1) % EARLIER_PICTURES
-        self.compared += 1
-        weight = max(NEW_WEIGHT, 1.0 / self.compared)
-        for tile, piece in enumerate(pieces):
-            is_new = piece != before[tile] or not self._tile_agrees(slot, tile, picture)
-            self.new_share[tile] += weight * (is_new - self.new_share[tile])
-
-    def _pieces(self, readings: Picture, picture: Picture) -> tuple[bytes, ...]:
-        """Return the thinned readings of each tile."""
-        if self.places is None or self.places.shape != picture.shape:
-            self.places = _Places.of(picture.shape)
-        places = self.places
-        content = readings[places.order].tobytes()
-        at = [end * readings.itemsize for end in places.ends]
-        return tuple(content[first:last] for first, last in itertools.pairwise((0, *at)))
 
 
 class _Places(NamedTuple):
     """Where the tiles of pictures of one size are.
 
-    ``order`` brings the readings of the thinned view tile by tile, and ``ends`` is where each tile ends in it;
-    ``tiles`` are the rows and columns of each in the view of every fourth row and column.
+    ``order`` brings the readings of the thinned view tile by tile, ``firsts`` is where each tile begins in it, and
+    ``weights`` are what a fingerprint weighs each reading with; ``tiles`` are the rows and columns of each in the view
+    of every fourth row and column.
     """
 
     shape: tuple[int, ...]
     order: npt.NDArray[np.intp]
-    ends: tuple[int, ...]
+    firsts: npt.NDArray[np.intp]
+    weights: npt.NDArray[np.uint64]
     tiles: tuple[tuple[slice, slice], ...]
 
     @staticmethod
@@ -197,13 +194,19 @@ class _Places(NamedTuple):
         row_tile, column_tile = rows * TILE_ROWS // shape[0], columns * TILE_COLUMNS // shape[1]
         number = (row_tile[:, None] * TILE_COLUMNS + column_tile).ravel()
         order = np.argsort(number, kind="stable")
-        ends = np.cumsum(np.bincount(number, minlength=TILE_ROWS * TILE_COLUMNS))
+        counts = np.bincount(number, minlength=TILE_ROWS * TILE_COLUMNS)
+        firsts = np.minimum(np.cumsum(counts) - counts, number.size - 1)
+        weights = np.random.default_rng(1).integers(0, 2**64, number.size, dtype=np.uint64) | np.uint64(1)
         row_slices, column_slices = (
             [_slice(size, step, steps) for step in range(steps)]
             for size, steps in zip(shape[:2], (TILE_ROWS, TILE_COLUMNS), strict=True)
         )
         tiles = tuple((row, column) for row in row_slices for column in column_slices)
-        return _Places(shape, order, tuple(ends.tolist()), tiles)
+        return _Places(shape, order, firsts, weights, tiles)
+
+    def prints(self, readings: Picture) -> npt.NDArray[np.uint64]:
+        """Return a fingerprint of each tile's thinned readings; equal ones are looked at again, reading by reading."""
+        return np.add.reduceat(readings[self.order] * self.weights, self.firsts)
 
 
 def _slice(size: int, step: int, steps: int) -> slice:

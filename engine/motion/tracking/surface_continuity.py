@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.core.compiled import kernels
+from engine.core.compiled import FramePath
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, RoiDepth
 from engine.core.geometry import least_squares
 from engine.core.sentences import say
@@ -135,7 +135,7 @@ def _has_moved(observed: ObservedSurface, before: ObservedSurface) -> bool:
 
 def _largest_difference(one: FloatArray, other: FloatArray) -> float:
     """Return the largest difference of two arrays' values; NaN where one of them is no finite number."""
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is not None:
         difference: float = compiled.largest_difference(one, other)
         return difference
@@ -191,7 +191,7 @@ def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
 def _corner_medians_mm(roi: RoiDepth) -> FloatArray | None:
     """Return the median depth at the region's corners [mm], shape (4,); None where too little of one is seen."""
     reach = max(CORNER_PX // roi.stride_px, 1)
-    compiled = kernels()
+    compiled = FramePath.kernels
     if compiled is None:
         return _medians_mm(roi, reach)
     medians_mm = np.empty(4)

@@ -36,7 +36,7 @@ def test_another_choice_is_refused_by_name_value_and_bound():
 
 
 def test_a_build_of_other_sources_does_not_run(monkeypatch):
-    if compiled.kernels() is None:
+    if compiled.FramePath.kernels is None:
         pytest.skip("not built")
     monkeypatch.setattr(compiled, "_source_digest", lambda: "of other sources")
     assert compiled._load("auto") == (None, compiled.STALE)
@@ -47,7 +47,7 @@ def test_a_build_of_other_sources_does_not_run(monkeypatch):
 def test_the_numpy_forms_run_inside_their_block_only():
     before = compiled.frame_path()
     with compiled.numpy_forms():
-        assert compiled.kernels() is None
+        assert compiled.FramePath.kernels is None
         assert compiled.frame_path() == compiled.CHOSEN
     assert compiled.frame_path() == before
 
@@ -124,7 +124,7 @@ def args_of(name):
 
 
 def called(name, args):
-    functions = compiled.kernels()
+    functions = compiled.FramePath.kernels
     if functions is None:
         pytest.skip("not built")
     return getattr(functions, name)(*args)

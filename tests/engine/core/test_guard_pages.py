@@ -8,7 +8,10 @@ import pytest
 from engine.core import compiled
 from tests.support.repository import ROOT
 
-pytestmark = [pytest.mark.skipif(compiled.kernels() is None, reason="the numpy forms run"), pytest.mark.verification]
+pytestmark = [
+    pytest.mark.skipif(compiled.FramePath.kernels is None, reason="the numpy forms run"),
+    pytest.mark.verification,
+]
 SESSIONS = "tests/engine/motion/learning/test_confirmed_references.py"
 READS_BEYOND = """
 import ctypes
@@ -38,7 +41,7 @@ def test_the_last_pixel_of_a_picture_is_read_alone():
         "import numpy as np\nfrom engine.core import compiled\nimport tests.support.guard_pages\n"
         "chroma = np.zeros((8, 2), np.float32)\n"
         "color = np.full((8, 16, 3), 90, np.uint8)\n"
-        "compiled.kernels().sample_chroma(color, np.eye(3), 4, 16, 45.0, chroma)\n"
+        "compiled.FramePath.kernels.sample_chroma(color, np.eye(3), 4, 16, 45.0, chroma)\n"
         "assert np.isfinite(chroma).all(), chroma\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -54,7 +57,7 @@ def test_results_come_back_from_the_copies():
     code = (
         "import numpy as np\nfrom engine.core import compiled\nimport tests.support.guard_pages\n"
         "found = np.zeros((1, 2))\n"
-        "compiled.kernels().map_points(np.eye(3), np.array([[2.0, 3.0]]), found)\n"
+        "compiled.FramePath.kernels.map_points(np.eye(3), np.array([[2.0, 3.0]]), found)\n"
         "assert found.tolist() == [[2.0, 3.0]], found\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -12,7 +12,7 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.core.replacing import replace
 from engine.gating.gate import Gate
 
-FUNCTIONS = compiled.kernels()
+FUNCTIONS = compiled.FramePath.kernels
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)

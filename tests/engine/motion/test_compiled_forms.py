@@ -15,7 +15,7 @@ from engine.calibration.quantisation import depth_table_mm
 from engine.core import compiled
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Lost, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
-from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
+from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, EQUAL, _is_gray, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
@@ -28,6 +28,7 @@ from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_ba
 from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.roi import align, cut_out, roi_nodes
 from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
+from engine.motion.tracking.repeated_pictures import _Depths, _Places
 from engine.motion.tracking.surface_continuity import _largest_difference, marker_points_mm
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
@@ -39,7 +40,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 FAR = 1e6
 THIN = (slice(None, None, STRIDE_PX),) * 2
 
-pytestmark = pytest.mark.skipif(compiled.kernels() is None, reason="the compiled path is not built")
+pytestmark = pytest.mark.skipif(compiled.FramePath.kernels is None, reason="the compiled path is not built")
 
 
 def both(function, *args):
@@ -186,6 +187,31 @@ def test_colour_is_the_same(seed, dark_share, is_inside):
     # A sample halfway between two pixels may fall to either: of 11,200 samples hardly ever one.
     is_other = (found != expected) & ~(np.isnan(found) & np.isnan(expected))
     assert np.count_nonzero(is_other.any(axis=1)) <= 2
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.integers(0, 20), st.integers(1, 3))
+def test_a_picture_is_gray_alike(seed, coloured, difference):
+    """Of 100 sampled pixels, fewer than five have a colour in a picture that is gray."""
+    rng = np.random.default_rng(seed)
+    color = np.repeat(rng.integers(4, 250, (160, 160, 1), dtype=np.uint8), 3, axis=2)
+    places = rng.permutation(100)[:coloured]
+    color[16 * (places // 10), 16 * (places % 10), rng.integers(0, 3)] += np.uint8(difference)
+    found, expected = both(_is_gray, color)
+    assert found == expected == (difference <= EQUAL or coloured < 5)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(0.0, 0.3), st.floats(0.0, 0.6), st.integers(0, 95))
+def test_a_picture_that_is_nearly_old_is_found_alike(seed, changed, holes, slot):
+    rng = np.random.default_rng(seed)
+    depths = _Depths(places=_Places.of((480, 640)))
+    depths.readings[:] = rng.integers(700, 704, depths.readings.shape)
+    readings = np.where(rng.random(1200) < changed, 800, depths.readings[slot]).astype(np.uint16)
+    readings[rng.random(1200) < holes] = 0
+    found, expected = both(depths.has_nearly, readings)
+    agreeing = np.count_nonzero((readings == depths.readings[slot]) & (readings > 0))
+    assert found == expected == (agreeing >= 0.88 * np.count_nonzero(readings))
 
 
 @settings(max_examples=40, deadline=None)
