@@ -134,7 +134,8 @@ def listed_address(uri: str | None, pinned: str = "") -> str:
 def address_in_turn(turn: int, lost: str, pinned: str = "") -> str:
     """Return where the camera of a lost address may be now: there, or at another address of its kind each turn.
 
-    Only its own SDK is asked. An address with a serial number stays the camera's.
+    Only its own SDK is asked, and not for every turn (`engine.capture.camera_process.source.listed`). An address with a
+    serial number stays the camera's.
 
     Raises
     ------

@@ -158,7 +158,7 @@ class Markers:
         if self.centers_px.shape != (4, 2):
             msg = f"four centres of two coordinates expected, not {self.centers_px.shape}"
             raise ValueError(msg)
-        frozen(self.centers_px)
+        self.centers_px.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,8 +180,8 @@ class RoiDepth:
 
     def __post_init__(self) -> None:
         """Make both arrays read-only."""
-        frozen(self.depth_mm)
-        frozen(self.valid)
+        self.depth_mm.setflags(write=False)
+        self.valid.setflags(write=False)
 
     def thinned(self, stride_px: int) -> "RoiDepth":
         """Return the same at every ``stride_px``-th row and column; a multiple of the present stride."""
@@ -224,7 +224,7 @@ class Projection:
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         for array in (self.beta, self.coefficients, self.is_seen):
-            frozen(array)
+            array.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -251,7 +251,7 @@ class SeenShares:
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         for array in (self.cells, self.points, self.named):
-            frozen(array)
+            array.setflags(write=False)
 
     def unseen_cells(self, min_share: float) -> tuple[tuple[int, int], ...]:
         """Return row and column of every cell of which less than ``min_share`` was seen, row by row."""

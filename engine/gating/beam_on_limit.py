@@ -46,7 +46,7 @@ def allowed_on_s(window: GateWindow, breaths: Iterable[Breath], limits: GateLimi
 
     None where a breath hold, which has its own limit, is needed for the beam.
     """
-    has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in window.leaves)
+    has_hold = True in [isinstance(leaf, BreathHoldWindow) for leaf in window.leaves]
     if has_hold:
         is_alternative = isinstance(window, JoinedWindow) and window.join is Join.OR
         return limits.max_beam_on_s if is_alternative else None

@@ -26,6 +26,7 @@ from engine.gating.delivery import (
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 
+SEEN_AT_REFERENCE = say("seen when the reference was set")
 HEAD_DIRECTION_UNKNOWN = say("only the whole region and its volume may gate without the head direction")
 MAX_JUMP_FRAMES = 5
 """Most frames that an allowed step counts for: a longer gap does not allow a larger step."""
@@ -129,7 +130,7 @@ def unusable(reason: HoldReason, detail: str) -> Verdict:
 def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow) -> LastFrame:
     """Return the summary with which the next frame is compared."""
     signals_mm = () if frame.motion is None else _jump_signals_mm(frame.motion, window)
-    is_measured = bool(signals_mm) and all(math.isfinite(signal_mm) for signal_mm in signals_mm)
+    is_measured = bool(signals_mm) and all(map(math.isfinite, signals_mm))
     earlier_mm = None if before is None else before.signals_mm
     age = 0 if before is None else before.signal_age_frames + 1 + max(frame.missed_frames, 0)
     return LastFrame(
@@ -292,6 +293,17 @@ def _judge_unmeasured(frame: Measurement) -> Verdict:
 
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
+    wide = (motion.whole_mm, motion.thorax_mm, motion.abdomen_mm, fit.residual_mm, fit.valid_share, fit.inlier_share)
+    gated = [signal_of(choice, motion) for choice in limits.window.choices]
+    is_fit = fit.residual_mm >= 0.0 and 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
+    if is_fit and all(map(math.isfinite, (*wide, *gated, *fit.beta.tolist(), *fit.coefficients.tolist()))):
+        return None
+    return fault(HoldReason.VALUE_INVALID, say("not a number: {bad}", bad=listed(", ", _bad_values(motion, limits))))
+
+
+def _bad_values(motion: Motion, limits: GateLimits) -> list[str]:
+    """Name what is no number, or none that can be."""
+    fit = motion.projection
     values = (
         ("whole", motion.whole_mm),
         ("thorax", motion.thorax_mm),
@@ -308,7 +320,7 @@ def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
     if fit.residual_mm < 0.0 or not shares_are:
         bad.append("fit")
-    return fault(HoldReason.VALUE_INVALID, say("not a number: {bad}", bad=listed(", ", bad))) if bad else None
+    return bad
 
 
 def _refuse_unknown_part(limits: GateLimits) -> Verdict | None:
@@ -365,15 +377,13 @@ def unseen_signal(seen: SeenShares, limits: GateLimits, when: str = "seen") -> s
 
 def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
     """Hold where any gated signal is not measurable, also one of a window whose other condition would be met."""
-    detail = unseen_signal(motion.seen, limits) or unseen_signal(
-        motion.reference_seen, limits, say("seen when the reference was set")
-    )
+    detail = unseen_signal(motion.seen, limits) or unseen_signal(motion.reference_seen, limits, SEEN_AT_REFERENCE)
     return None if detail is None else unusable(HoldReason.COVERAGE_LOW, detail)
 
 
 def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
     """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
-    lengths = tuple(signal_of(choice, motion) for choice in window.choices if not choice.is_volume)
+    lengths = tuple([signal_of(choice, motion) for choice in window.choices if not choice.is_volume])
     return lengths or (motion.whole_mm,)
 
 
@@ -382,7 +392,7 @@ def _refuse_jump(last: LastFrame | None, motion: Motion, limits: GateLimits) -> 
         return None
     frames = min(last.signal_age_frames + 1, MAX_JUMP_FRAMES)  # this frame missed none: `_refuse_gap`
     signals_mm = _jump_signals_mm(motion, limits.window)
-    step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
+    step_mm = max([abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True)])
     if not step_mm <= limits.max_jump_mm * frames:
         return unusable(HoldReason.JUMP, say("{step_mm:.1f} mm in {frames} frames", step_mm=step_mm, frames=frames))
     return None

@@ -272,13 +272,13 @@ class GateLimits:
     @property
     def judged_events(self) -> frozenset[BreathEventKind]:
         """The breathing events that hold the beam in every frame; in a held breath no others do (`is_held`)."""
-        has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves)
+        has_hold = True in [isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves]
         return self.holding_events - EVENTS_OF_A_BREATH_HOLD if has_hold else self.holding_events
 
     @property
     def needs_head_direction(self) -> bool:
         """Whether the window is on a part of the patient, not only on the whole region or its volume."""
-        return any(depends_on_head(choice) for choice in self.window.choices)
+        return True in [depends_on_head(choice) for choice in self.window.choices]
 
 
 def ns_from_ms(duration_ms: float) -> int:

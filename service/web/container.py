@@ -35,11 +35,11 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
-from service.sessions.records.simulations import SimulationDays
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
 from service.sessions.report.exports import SessionExports
 from service.sessions.report.reports import report_service
+from service.sessions.report.simulations import SimulationDays
 from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import SYSTEM, Event

@@ -32,9 +32,9 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository, ModelRepository, RecordingList
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.sessions import SessionRepository
-from service.sessions.records.simulations import SimulationDays
 from service.sessions.report.exports import SessionExports
 from service.sessions.report.reports import ReportService
+from service.sessions.report.simulations import SimulationDays
 from service.sessions.report.trace import SessionTraces
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import chain

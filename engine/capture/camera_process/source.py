@@ -11,7 +11,7 @@ from dataclasses import asdict
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,14 +38,61 @@ OPEN_S = 20.0
 """An SDK finds its devices, starts two streams and waits for the first frames: a few seconds."""
 LIST_S = 10.0
 CLOSE_S = 3.0
+LOOK_AGAIN_S, BLIND_LOOK_AGAIN_S = 60.0, 10.0
+"""An SDK is asked again after this time, or when a device was plugged in or out, where the bus can be read: each asking
+is a process, of a second of the processor."""
+SETTLED_S = 5.0
+"""An SDK may see a device so long after the bus has it: until then each asking is a new one."""
+USB = Path("/sys/bus/usb/devices")
 LATEST_US = 2**53
 US_PER_S = 1e6
 
 
 def listed(module: str, label: str) -> list[ListedCamera]:
-    """List the cameras of an SDK; raise RuntimeMissingError where the SDK does not start or answer."""
-    answer = _asked(module, label, "list")
-    return [ListedCamera(**one) for one in answer["answer"]]
+    """List the cameras of an SDK, as it last answered while no device came or went.
+
+    Raises
+    ------
+    RuntimeMissingError
+        The SDK does not start or answer.
+    """
+    last = _LISTED.get(module)
+    present = Look.after(None if last is None else last[0])
+    if last is None or not present.is_as(last[0]):
+        last = _LISTED[module] = present, _asked(module, label, "list")["answer"]
+    return [ListedCamera(**one) for one in last[1]]
+
+
+class Look(NamedTuple):
+    """When somebody looked [s, host monotonic], and the devices on the bus with their numbers, new at each plugging.
+
+    ``changed_s`` is when other devices were seen last.
+    """
+
+    at_s: float
+    devices: frozenset[tuple[str, str]]
+    changed_s: float
+
+    @staticmethod
+    def after(before: "Look | None") -> "Look":
+        """Look at the bus; where there is none to be read, no device is on it."""
+        found = set()
+        with contextlib.suppress(OSError):
+            for number in USB.glob("*/devnum"):
+                with contextlib.suppress(OSError):
+                    found.add((number.parent.name, number.read_text()))
+        at_s, devices = time.monotonic(), frozenset(found)
+        is_same = before is not None and before.devices == devices
+        return Look(at_s, devices, before.changed_s if before is not None and is_same else at_s)
+
+    def is_as(self, before: "Look") -> bool:
+        """Whether an answer of before is as good as one of now."""
+        longest_s = LOOK_AGAIN_S if self.devices else BLIND_LOOK_AGAIN_S
+        return before.at_s - self.changed_s >= SETTLED_S and self.at_s - before.at_s < longest_s
+
+
+_LISTED: dict[str, tuple[Look, list[dict[str, Any]]]] = {}
+"""The last answer of each SDK's module."""
 
 
 def factory_calibration(module: str, serial: str, label: str) -> FactoryCalibration:

@@ -43,12 +43,16 @@ class CapturePump:
     silence_ms
         Time without a frame of either stream that shows that none waits in the driver: longer than a driver takes to
         hand over the next one, shorter than the longest pause of two streams. None for a file, which is played.
+    last_color_us
+        Time of a file's last colour frame: after it none is waited for.
     """
 
-    def __init__(self, device: OpenNiDevice, clock: Clock, *, silence_ms: int | None = None) -> None:
+    def __init__(
+        self, device: OpenNiDevice, clock: Clock, *, silence_ms: int | None = None, last_color_us: int | None = None
+    ) -> None:
         self._device = device
         self._clock = clock
-        self._silence_ms = silence_ms
+        self._silence_ms, self._last_color_us = silence_ms, last_color_us
         self._queue_empty_ns: int | None = None
         self._changed = threading.Condition()
         self._depths: deque[ReceivedFrame] = deque(maxlen=_HELD_DEPTHS)
@@ -133,7 +137,8 @@ class CapturePump:
         """Whether the colour frame nearest to the first depth frame is certainly received."""
         if margin_us is None or self._has_ended or len(self._depths) > _PATIENCE_FRAMES:
             return True
-        return self._depths[0].frame.timestamp_us - self._colors[-1].frame.timestamp_us <= margin_us
+        newest_us = self._colors[-1].frame.timestamp_us
+        return newest_us == self._last_color_us or self._depths[0].frame.timestamp_us - newest_us <= margin_us
 
     def _nearest(self, depth: ReceivedFrame) -> ReceivedFrame:
         return min(self._colors, key=lambda color: abs(color.frame.timestamp_us - depth.frame.timestamp_us))

@@ -109,6 +109,7 @@ class OpenNiSource:
         self._use_registration = use_device_registration
         self._record_to = record_to
         self._is_mirrored = (False, False)
+        self._last_color_us: int | None = None
         self._device: OpenNiDevice | None = None
         self._recorder: c.Handle | None = None
         self._pump: CapturePump | None = None
@@ -137,6 +138,7 @@ class OpenNiSource:
             color = stored.color
             self._serial = stored.serial
             self._is_mirrored = (stored.depth.is_mirrored, color is not None and color.is_mirrored)
+            self._last_color_us = None if color is None else color.last_timestamp_us
         self._device = OpenNiDevice(
             self._uri if self._uri is not None else _first_uri(), is_file=self._path is not None
         )
@@ -158,7 +160,7 @@ class OpenNiSource:
             _await_recorder(self._record_to)
         device.start()
         silence_ms = max(int(self._period_us * _SILENT_SHARE / 1_000), 1) if self._path is None else None
-        self._pump = CapturePump(device, self._clock, silence_ms=silence_ms)
+        self._pump = CapturePump(device, self._clock, silence_ms=silence_ms, last_color_us=self._last_color_us)
         self._pump.start()
         return SourceDescription(
             kind="openni_file" if self._path is not None else "openni",

@@ -8,10 +8,10 @@
 
 #define MOST_ARRAYS 24
 
-/* On x86-64 with glibc the loader picks the wider vectors where the processor has them. No sum is reordered and none is
- * fused (-ffp-contract=off), so both give the same bits. */
+/* On x86-64 with glibc the loader picks the widest vectors that the processor has. No sum is reordered and none is fused
+ * (-ffp-contract=off), so all give the same bits. */
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(TIDEGATE_PLAIN)
-#define WIDE_VECTORS __attribute__((target_clones("avx2", "default")))
+#define WIDE_VECTORS __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
 #else
 #define WIDE_VECTORS
 #endif

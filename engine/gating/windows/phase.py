@@ -182,9 +182,9 @@ GateWindow = AmplitudeWindow | BreathHoldWindow | PhaseWindow | JoinedWindow
 
 def is_held(window: GateWindow, states: tuple[ConditionState, ...]) -> bool:
     """Whether a breath hold of the window is held now: what was observed, whatever the window is called."""
-    return any(
-        isinstance(leaf, BreathHoldWindow) and state.stage is HoldStage.HELD
-        for leaf, state in zip(window.leaves, states, strict=True)
+    held = [state.stage is HoldStage.HELD for state in states]
+    return True in held and any(
+        isinstance(leaf, BreathHoldWindow) and is_so for leaf, is_so in zip(window.leaves, held, strict=True)
     )
 
 
@@ -198,8 +198,10 @@ def followed(
 ) -> tuple[ConditionState, ...]:
     """Return the states with each condition's signal followed to this frame."""
     return tuple(
-        replace(state, trail=state.trail.followed(leaf.signal_now(frame_input), max_gap_ms))
-        for leaf, state in zip(window.leaves, states, strict=True)
+        [
+            replace(state, trail=state.trail.followed(leaf.signal_now(frame_input), max_gap_ms))
+            for leaf, state in zip(window.leaves, states, strict=True)
+        ]
     )
 
 
@@ -208,10 +210,12 @@ def permitted(
 ) -> tuple[ConditionState, ...]:
     """Return the states after the decision on a frame: with the beam on, or a breath held, that is the place."""
     return tuple(
-        replace(state, trail=state.trail.permitted(leaf.signal_now(frame_input), on_ns))
-        if is_on or state.stage is HoldStage.HELD
-        else state
-        for leaf, state in zip(window.leaves, states, strict=True)
+        [
+            replace(state, trail=state.trail.permitted(leaf.signal_now(frame_input), on_ns))
+            if is_on or state.stage is HoldStage.HELD
+            else state
+            for leaf, state in zip(window.leaves, states, strict=True)
+        ]
     )
 
 

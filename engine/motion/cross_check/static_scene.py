@@ -112,7 +112,7 @@ class StaticScene:
         FloatArray | None
             Shape (n,); None while the scene is learned, and where too little of it is seen.
         """
-        if tuple(size // BLOCK_PX for size in depth_mm.shape) != self._shape:
+        if (depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX) != self._shape:
             return None
         if self._reference is None:
             self._learn(_blocks_mm(depth_mm), float(points_mm[:, 2].max()), timestamp_us)

@@ -98,9 +98,9 @@ def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
             row, column = choice.row or 0, choice.column or 0
             return row * regions.columns + column if row < regions.rows and column < regions.columns else None
         case GateSignal.POINT:
-            return regions.points_from + choice.index if choice.index < len(regions.layout.points) else None
+            return regions.ends[1] + choice.index if choice.index < len(regions.layout.points) else None
         case GateSignal.NAMED:
-            return regions.named_from + choice.index if choice.index < len(regions.layout.named) else None
+            return regions.ends[2] + choice.index if choice.index < len(regions.layout.named) else None
     return regions.cells + (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN).index(GateSignal(choice.signal))
 
 

@@ -158,7 +158,7 @@ def _plane_mm(frame: TrainingFrame) -> float:
 
 
 def _correction_mm(before: PreparedModel, after: PreparedModel, difference: FloatArray) -> float:
-    cells, points_from = before.regions.cells, before.regions.points_from
+    cells, points_from = before.regions.cells, before.regions.ends[1]
     wide = np.abs(difference[cells:points_from]).max()
     both = before.regions.is_known[:cells] & after.regions.is_known[:cells]
     known = np.abs(difference[:cells][both])

@@ -92,14 +92,10 @@ class RegionMeans:
         return self.rows * self.columns
 
     @property
-    def points_from(self) -> int:
-        """Index of the first single point."""
-        return self.cells + len(WIDE)
-
-    @property
-    def named_from(self) -> int:
-        """Index of the first named region; named regions come last."""
-        return self.points_from + len(self.layout.points)
+    def ends(self) -> tuple[int, int, int]:
+        """Where the cells end, the wide regions and the single points; named regions come last."""
+        cells = self.rows * self.columns
+        return cells, cells + len(WIDE), cells + len(WIDE) + len(self.layout.points)
 
 
 def grid_shape(cell_px: int) -> tuple[int, int]:

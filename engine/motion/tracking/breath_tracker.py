@@ -81,8 +81,10 @@ class BreathTracker:
     def follow(self, motion: Motion, timestamp_us: int) -> tuple[Breath, ...]:
         """Add a measured frame; return the breathing figures of each signal."""
         seconds = timestamp_us / US_PER_S
-        self._states = tuple(follow_breathing(state, seconds, _seen_mm(state.choice, motion)) for state in self._states)
-        return tuple(state.breath for state in self._states)
+        self._states = tuple(
+            [follow_breathing(state, seconds, _seen_mm(state.choice, motion)) for state in self._states]
+        )
+        return tuple([state.breath for state in self._states])
 
 
 def _seen_mm(choice: SignalChoice, motion: Motion) -> float:
@@ -115,8 +117,8 @@ def motion_from(
     """
     motion_mm = reference.regions_mm - depth_mm
     regions = active.regions
-    cells, shape = regions.cells, (regions.rows, regions.columns)
-    whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
+    (cells, points_from, named_from), shape = regions.ends, (regions.rows, regions.columns)
+    whole, thorax, abdomen = motion_mm[cells:points_from].tolist()
     weights = active.seen_weights
     return Motion(
         whole_mm=whole,
@@ -125,8 +127,8 @@ def motion_from(
         volume_l=reference.volume_above_l(surface),
         regions_mm=motion_mm[:cells].reshape(shape),
         regions_depth_mm=depth_mm[:cells].reshape(shape),
-        points_mm=motion_mm[regions.points_from : regions.named_from],
-        named_mm=motion_mm[regions.named_from :],
+        points_mm=motion_mm[points_from:named_from],
+        named_mm=motion_mm[named_from:],
         projection=outcome,
         lags=lags,
         surface_mm=frozen(surface),

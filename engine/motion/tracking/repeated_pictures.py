@@ -164,8 +164,9 @@ class _Depths:
         self.compared += 1
         if self.compared > 0:
             is_new = self.prints[before] != prints
-            for tile in np.flatnonzero(~is_new):
-                is_new[tile] = not self._tile_agrees(before, int(tile), picture)
+            if not is_new.all():
+                for tile in np.flatnonzero(~is_new):
+                    is_new[tile] = not self._tile_agrees(before, int(tile), picture)
             self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (is_new - self.new_share)
         self.readings[self.oldest] = readings
         self.prints[self.oldest] = prints

@@ -246,7 +246,7 @@ class MarkerLayout:
             beyond_mm = [
                 max(low - now, now - high, 0.0) for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)
             ]
-            if not all(beyond <= MARGIN_MM for beyond in beyond_mm):  # also for NaN
+            if False in [beyond <= MARGIN_MM for beyond in beyond_mm]:  # also for NaN
                 self._is_doubted = True
                 detail = _rescaled(low_mm, now_mm, high_mm) or _described(tuple(beyond_mm))
                 return Lost(reason=LostReason.LAYOUT_CHANGED, detail=detail)

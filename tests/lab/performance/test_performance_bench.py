@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import sys
 import tempfile
 from dataclasses import asdict, replace
 
@@ -14,6 +15,7 @@ import lab.commands.bench as bench_command
 from engine.capture.oni.reader import OniReader, describe
 from engine.core.clock import ManualClock
 from engine.core.errors import SourceEndedError
+from engine.core.frames import MeasurementState
 from engine.core.gate_state import GateState
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from lab.performance import session as recording_module
@@ -30,6 +32,7 @@ pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 US = 1000.0
 MB = 1_000_000
+MOST_CALLS = 480.0
 HURRIED = TrainingSettings(min_frames=40, min_cycles=0, min_seconds=3.0, max_seconds=6.0, max_frames=200)
 
 
@@ -151,6 +154,27 @@ class TickingClock(ManualClock):
     def now_ns(self):
         self.advance_ns(10_000_000)
         return super().now_ns()
+
+
+def test_a_measured_frame_makes_so_many_calls_of_python_and_no_more(lit_volunteer):
+    """A count is no time: it is the same on every processor. The target is 250."""
+    session = BenchSession(lit(lit_volunteer), InlineTrainer())
+    session.learn()
+    frames = [session.read() for _ in range(20)]
+    calls = 0
+
+    def count(_frame, event, _argument):
+        nonlocal calls
+        calls += event == "call"
+
+    states = []
+    for frame in frames:
+        sys.setprofile(count)
+        states.append(session.decide(frame))
+        sys.setprofile(None)
+    session.close()
+    assert set(states) == {MeasurementState.MEASURING}
+    assert calls / len(frames) <= MOST_CALLS
 
 
 def test_frames_are_decided_on_with_the_beam_on_though_learning_made_one_too_old(lit_volunteer):

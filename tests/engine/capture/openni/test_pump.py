@@ -97,6 +97,15 @@ def test_a_file_gives_up_waiting_when_depth_goes_on_without_colour(device, pump)
     assert taken(pump, margin_us=12.0) == (100, 10)
 
 
+def test_after_the_last_colour_frame_of_a_file_none_is_waited_for(device):
+    pump = CapturePump(device, ManualClock(5), last_color_us=99)
+    pump.start()
+    device.give((COLOR, 66), (COLOR, 99), (DEPTH, 100), (DEPTH, 133))
+    assert [taken(pump, margin_us=12.0) for _ in range(2)] == [(100, 99), (133, 99)]
+    assert not device.is_over, "nothing said yet that the file is over"
+    assert pump.stop()
+
+
 def test_silence_is_a_timeout_and_the_source_stays_usable(device, pump):
     with pytest.raises(FrameTimeoutError):
         taken(pump, timeout_s=0.05)

@@ -176,7 +176,7 @@ def test_a_point_in_a_small_hole_is_interpolated_and_one_in_a_large_hole_is_empt
     known[98:103, 58:63] = False
     known[200:260, 80:140] = False
     means = prepare_regions(model.mean_mm, modes_of(model), known, RegionLayout(points=((100, 60), (230, 110))))
-    values = means.depth_mm(np.zeros(len(modes_of(model))))[means.points_from :]
+    values = means.depth_mm(np.zeros(len(modes_of(model))))[means.ends[1] :]
     assert values[0] == pytest.approx(model.mean_mm[100, 60], abs=1e-3)
     assert np.isnan(values[1])
 

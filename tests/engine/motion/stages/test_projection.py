@@ -139,7 +139,7 @@ def test_a_body_that_moves_as_a_whole_is_measured(
 ):
     """Its component is a cosine as well, but for the departure: what a motion platform's training gives."""
     if not is_compiled:
-        monkeypatch.setattr(projection, "kernels", lambda: None)
+        monkeypatch.setattr(projection.FramePath, "kernels", None)
     shape = RIGID[how] + departure * HOLD
     component = -(shape / np.linalg.norm(shape))[None].astype(np.float32)
     known = ~((np.abs(ROWS - 60.0) < 20.0) & (np.abs(COLUMNS - 80.0) < 20.0))  # a marker's hole
@@ -164,6 +164,6 @@ def test_equations_without_a_solution_are_nothing_found(monkeypatch, basis):
     def fail(*_):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(projection, "kernels", lambda: None)
+    monkeypatch.setattr(projection.FramePath, "kernels", None)
     monkeypatch.setattr(projection, "_solve", fail)
     assert project(basis, roi(), None) is None

@@ -105,7 +105,7 @@ def test_a_region_that_was_hardly_seen_is_empty_not_zero():
     modes = np.zeros((1, ROI_ROWS, ROI_COLUMNS))
     seen, unseen = region(((20, 80), (20, 160), (90, 120)), "seen"), region(((20, 5), (20, 62), (90, 30)), "unseen")
     means = prepare_regions(np.full(known.shape, 850.0), modes, known, RegionLayout(named=(seen, unseen)))
-    depth = means.depth_mm(np.zeros(1))[means.named_from :]
+    depth = means.depth_mm(np.zeros(1))[means.ends[2] :]
     assert depth[0] == pytest.approx(850.0)
     assert np.isnan(depth[1])
 

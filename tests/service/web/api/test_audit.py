@@ -249,11 +249,13 @@ def test_a_bad_question_to_the_audit_is_refused(client, name, value):
     assert (answer.status_code, answer.json()["field"]) == (422, name)
 
 
-def test_an_audit_that_is_not_as_it_should_be_is_reported_by_the_readiness(client, settings):
+def test_an_audit_that_is_not_as_it_should_be_is_reported_by_the_readiness(client, settings, session_id):
     ready = client.get("/readyz").json()
     assert not [reason for reason in ready["not_ready"] if "audit" in reason]
-    settings.anchor_file.unlink(missing_ok=True)
+    eventually(settings.anchor_file.exists)  # that of the start: the next comes with the session's
+    settings.anchor_file.unlink()
     settings.anchor_file.mkdir()
+    assert act(client, session_id, "start").status_code == 200
     eventually(lambda: "the audit's heads cannot be kept" in str(client.get("/readyz").json()["not_ready"]))
     (row,) = audit_rows(client, "audit.anchors_failed")
     assert row["outcome"] == "failed"

@@ -21,7 +21,6 @@ from service.core.errors import BoundError, NotFoundError
 from service.core.identity import identity_key
 from service.core.schemas.simulations import Simulation, SimulationRequest
 from service.core.schemas.windows import Window
-from service.exchange.four_d_ct import breaths_of
 from service.sessions.lifecycle.commands import state_error
 from service.sessions.report.exports import SessionExports
 from service.storage import audit
@@ -168,6 +167,8 @@ def _vxp(content: bytes) -> _Day:
 
 
 def _described(day: _Day, request: SimulationRequest, session_id: str, actor: str, confirmed_by: str) -> Simulation:
+    from service.exchange.four_d_ct import breaths_of  # with scipy, which nothing else of a running service needs
+
     breaths = breaths_of(day.time_s, day.motion_mm)
     low, high = (float(np.nanmedian(day.motion_mm[at])) for at in (breaths.exhale, breaths.inhale))
     if not low < high:
