@@ -46,6 +46,7 @@ PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t cou
 PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *differs_little(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *thin(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t count);

@@ -14,6 +14,7 @@ static PyMethodDef methods[] = {
     FUNCTION(sample_chroma),
     FUNCTION(differs_little),
     FUNCTION(is_gray),
+    FUNCTION(thin),
     FUNCTION(changed_cells),
     FUNCTION(scene_blocks),
     FUNCTION(scene_movement),

@@ -648,3 +648,28 @@ PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count)
         }
     return finish(&arrays, (double)(all - coloured) / (double)all > most_equal ? Py_True : Py_False);
 }
+
+PyObject *thin(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 3, "thin"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
+    Py_buffer *out = output_of(&arrays, args[2], "thinned", 'H', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t columns = depth->shape[1];
+    require(&arrays, out->shape[0] == (depth->shape[0] + step - 1) / step && out->shape[1] == (columns + step - 1) / step,
+            "thinned must have every step-th row and column");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    uint16_t *target = out->buf;
+    for (Py_ssize_t row = 0; row < depth->shape[0]; row += step) {
+        const uint16_t *line = (const uint16_t *)depth->buf + row * columns;
+        for (Py_ssize_t column = 0; column < columns; column += step)
+            *target++ = line[column];
+    }
+    return finish(&arrays, Py_None);
+}

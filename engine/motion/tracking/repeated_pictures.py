@@ -70,14 +70,14 @@ class _Stream:
         if timestamp_us == self.timestamp_us:
             return  # paired with another depth frame, with its time unchanged
         self.timestamp_us = timestamp_us
-        readings = picture[::THINNING_PX, ::THINNING_PX].flatten()
-        view = readings.tobytes()
         depths = self._depths_of(picture.shape) if self.is_depth else None
+        readings = picture[::THINNING_PX, ::THINNING_PX].flatten() if depths is None else depths.thinned(picture)
+        view = readings.tobytes()
         is_read = any(view)
         is_old = is_read and (self._was_seen(view, picture) or (depths is not None and depths.has_nearly(readings)))
         prints = None if depths is None else depths.places.prints(readings)
         self.is_in_part = (
-            depths is not None and prints is not None and is_read and not is_old and depths.has_part(prints, picture)
+            depths is not None and prints is not None and is_read and not is_old and depths.has_part(prints)
         )
         self.picture = picture
         if is_old or self.is_in_part:
@@ -85,7 +85,7 @@ class _Stream:
             return
         self.views.append(view)
         if depths is not None and prints is not None:
-            depths.keep(readings, prints, picture)
+            depths.keep(readings, prints)
         self.repeats = 0
 
     def _was_seen(self, view: bytes, picture: Picture) -> bool:
@@ -105,6 +105,8 @@ class _Stream:
 class _Depths:
     """The last new depth pictures of one size, in rings of `EARLIER_PICTURES`.
 
+    ``newest`` is the less thinned view of the picture that is looked at.
+
     ``readings`` are their thinned views, ``prints`` fingerprints of these by tile, and ``tiles`` less thinned views.
     ``new_share``, over ``compared`` pictures, is the share of those in the last second in which a tile was new.
     """
@@ -112,7 +114,8 @@ class _Depths:
     places: "_Places"
     readings: Picture = field(init=False)
     prints: npt.NDArray[np.uint64] = field(init=False)
-    tiles: "list[Picture | None]" = field(default_factory=lambda: [None] * EARLIER_PICTURES)
+    tiles: Picture = field(init=False)
+    newest: Picture = field(init=False)
     new_share: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(TILE_ROWS * TILE_COLUMNS))
     oldest: int = 0
     compared: int = -1
@@ -121,6 +124,18 @@ class _Depths:
         """Make the rings."""
         self.readings = np.zeros((EARLIER_PICTURES, self.places.order.size), dtype=np.uint16)
         self.prints = np.zeros((EARLIER_PICTURES, TILE_ROWS * TILE_COLUMNS), dtype=np.uint64)
+        shape = [-(-size // TILE_PX) for size in self.places.shape]
+        self.tiles = np.zeros((EARLIER_PICTURES, *shape), dtype=np.uint16)
+        self.newest = np.zeros(shape, dtype=np.uint16)
+
+    def thinned(self, picture: Picture) -> Picture:
+        """Look at a picture; return its thinned view, shape (readings,)."""
+        compiled = FramePath.kernels
+        if compiled is None:
+            self.newest[:] = picture[::TILE_PX, ::TILE_PX]
+        else:
+            compiled.thin(np.ascontiguousarray(picture), TILE_PX, self.newest)
+        return self.newest[:: THINNING_PX // TILE_PX, :: THINNING_PX // TILE_PX].flatten()
 
     def has_nearly(self, readings: Picture) -> bool:
         """Whether nearly all readings of a picture agree with those of one of the last new ones."""
@@ -134,7 +149,7 @@ class _Depths:
         different = (self.readings != readings) & (readings > 0)
         return bool(np.count_nonzero(different, axis=1).min() <= most_different)
 
-    def has_part(self, prints: npt.NDArray[np.uint64], picture: Picture) -> bool:
+    def has_part(self, prints: npt.NDArray[np.uint64]) -> bool:
         """Whether a tile's readings are all those of an earlier picture, of tiles that are known to change."""
         if self.compared < LEAST_COMPARED:
             return False
@@ -144,33 +159,30 @@ class _Depths:
         newest_first = (self.oldest - 1 - np.arange(EARLIER_PICTURES)) % EARLIER_PICTURES
         found = is_like[newest_first]
         return any(
-            self._tile_agrees(int(newest_first[found[:, tile].argmax()]), int(tile), picture)
+            self._tile_agrees(int(newest_first[found[:, tile].argmax()]), int(tile))
             for tile in np.flatnonzero(found.any(axis=0))
         )
 
-    def _tile_agrees(self, slot: int, tile: int, picture: Picture) -> bool:
-        earlier = self.tiles[slot]
-        if earlier is None:
-            return False
+    def _tile_agrees(self, slot: int, tile: int) -> bool:
         rows, columns = self.places.tiles[tile]
-        now, before = picture[::TILE_PX, ::TILE_PX][rows, columns], earlier[rows, columns]
+        now, before = self.newest[rows, columns], self.tiles[slot, rows, columns]
         is_read = now > 0
         count = np.count_nonzero(is_read)
         return bool(count >= LEAST_OF_A_TILE and np.count_nonzero((now == before) & is_read) >= OLD_TILE_SHARE * count)
 
-    def keep(self, readings: Picture, prints: npt.NDArray[np.uint64], picture: Picture) -> None:
-        """Keep a new picture in place of the oldest, and note which of its tiles are new against the one before."""
+    def keep(self, readings: Picture, prints: npt.NDArray[np.uint64]) -> None:
+        """Keep the newest picture in place of the oldest; note which of its tiles are new against the one before."""
         before = (self.oldest - 1) % EARLIER_PICTURES
         self.compared += 1
         if self.compared > 0:
             is_new = self.prints[before] != prints
             if not is_new.all():
                 for tile in np.flatnonzero(~is_new):
-                    is_new[tile] = not self._tile_agrees(before, int(tile), picture)
+                    is_new[tile] = not self._tile_agrees(before, int(tile))
             self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (is_new - self.new_share)
         self.readings[self.oldest] = readings
         self.prints[self.oldest] = prints
-        self.tiles[self.oldest] = picture[::TILE_PX, ::TILE_PX].copy()
+        self.tiles[self.oldest] = self.newest
         self.oldest = (self.oldest + 1) % EARLIER_PICTURES
 
 
