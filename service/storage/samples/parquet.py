@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from engine.core.files import file_sha256, put_in_place
@@ -33,6 +32,8 @@ def _content(column: pa.Array) -> Iterator[bytes]:
     yield _plain(column.is_valid(), np.uint8)
     kind = column.type
     if pa.types.is_list(kind):
+        import pyarrow.compute as pc  # a tenth of a second, and of no use before
+
         yield _plain(pc.fill_null(pc.list_value_length(column), 0), "<i8")
         yield _plain(column.flatten(), "<f4")
     elif pa.types.is_string(kind):

@@ -51,7 +51,7 @@ def test_a_line_is_printed_exactly_as_it_is(text, capsys):
             "service.engine_host.process.engine_server",
             ("fastapi", "sqlalchemy", "pyarrow", "matplotlib", "scipy", "psycopg", "pydicom", "rich", "alembic"),
         ),
-        ("service.web.app", ("matplotlib", "scipy", "psycopg", "pydicom", "rich", "lab")),
+        ("service.web.app", ("matplotlib", "pyarrow.compute", "scipy", "psycopg", "pydicom", "rich", "lab")),
     ],
 )
 def test_each_process_of_the_service_loads_only_what_it_uses(module, unneeded):
