@@ -21,7 +21,7 @@ from service.core.settings.settings import Settings
 from service.engine_host import local_engine
 from service.engine_host.local_engine import LocalEngine
 from service.web.app import create_app
-from tests.support.service.accounts import PeopleClient
+from tests.support.service.accounts import PASSWORD, PeopleClient, QuickHashing
 from tests.support.service.api_calls import act, make_session_body, upload
 
 PATIENT_LIMITS = {
@@ -127,10 +127,12 @@ def play(
     earlier: str | None = None,
     person: "Person | None" = None,
     fraction: int | None = None,
+    simulation: str | None = None,
 ) -> Played:
     """Run one session with a person whose mind is made up by a seed, until its recording is over.
 
-    ``earlier`` is a session of the same folder whose model this one begins with; ``person`` is somebody else.
+    ``earlier`` is a session of the same folder whose model this one begins with; ``person`` is somebody else;
+    ``simulation`` is the simulation day of another plan, for which this one is.
     """
     kind = type("Engine", (TroubledEngine,), {"troubles": troubles, "seed": seed, "training": training})
     settings = Settings(
@@ -146,12 +148,23 @@ def play(
             body["regions"] = regions
         if earlier is not None:
             body["model_id"] = client.get(f"/api/v1/sessions/{earlier}/models").json()["items"][0]["id"]
+        if simulation is not None:
+            body |= {"plan_id": "PLAN-2"}
         answer = client.post("/api/v1/sessions", json=body)
         assert answer.status_code == 201, answer.text
         session_id = answer.json()["id"]
+        if simulation is not None:
+            _sign_simulation(client, session_id, simulation)
         assert act(client, session_id, "start").status_code == 200
         detail = _live_through(Hands(client, session_id), person or BusyPerson(random.Random(seed)))
     return Played(data_dir=data_dir, session_id=session_id, status=detail["status"], frames=detail["summary"]["frames"])
+
+
+def _sign_simulation(client: PeopleClient, session_id: str, simulation: str) -> None:
+    client.desk.logins._hashing = QuickHashing()
+    body = {"operator": "A. Therapist", "session_id": simulation, "password": PASSWORD}
+    answer = client.post(f"/api/v1/sessions/{session_id}/simulation", json=body)
+    assert answer.status_code == 200, answer.text
 
 
 WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
