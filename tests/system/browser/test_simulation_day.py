@@ -79,13 +79,13 @@ def test_before_the_start_a_session_or_a_file_is_signed_with_the_password(fake: 
     form.locator("[type=submit]").click()
     expect(page.locator("#simulation-outcome")).to_have_text("Choose a session or a file")
     form.locator("[name=file]").set_input_files({"name": "a.vxp", "mimeType": "text/plain", "buffer": b"[Header]"})
-    form.locator("[name=password]").fill(PASSWORD)
+    form.locator("[name=own_password]").fill(PASSWORD)
     form.locator("[type=submit]").click()
-    expect(form.locator("[name=password]")).to_have_value("")
+    expect(form.locator("[name=own_password]")).to_have_value("")
     form.locator("[name=session]").select_option(DAY["id"])
-    form.locator("[name=password]").fill(PASSWORD)
+    form.locator("[name=own_password]").fill(PASSWORD)
     form.locator("[type=submit]").click()
-    expect(form.locator("[name=password]")).to_have_value("")
+    expect(form.locator("[name=own_password]")).to_have_value("")
     sent = [body for path, body in fake.posts() if path.endswith("/simulation")]
     own = {"operator": "A. Therapist", "password": PASSWORD}
     assert sent == [own | {"file": base64.b64encode(b"[Header]").decode()}, own | {"session_id": DAY["id"]}]

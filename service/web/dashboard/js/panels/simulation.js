@@ -144,14 +144,14 @@ export class SimulationPanel {
     submit.disabled = true;
     try {
       const source = chosen === "" ? { file: await inBase64(file) } : { session_id: chosen };
-      await signSimulation(this.session.id, { operator: this.access.person.name, password: elements.password.value || null, ...source });
+      await signSimulation(this.session.id, { operator: this.access.person.name, password: elements.own_password.value || null, ...source });
       this.form.reset();
       say(this.outcome, "done", "");
       await this.#read();
     } catch (error) {
       say(this.outcome, "failed", error.message);
     } finally {
-      elements.password.value = "";
+      elements.own_password.value = "";
       submit.disabled = false;
     }
   }
