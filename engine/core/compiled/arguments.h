@@ -11,7 +11,11 @@
 /* On x86-64 with glibc the loader picks the widest vectors that the processor has. No sum is reordered and none is fused
  * (-ffp-contract=off), so all give the same bits. */
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(TIDEGATE_PLAIN)
+#if __GNUC__ >= 12
 #define WIDE_VECTORS __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
+#else /* knows no name for AVX-512's usual set */
+#define WIDE_VECTORS __attribute__((target_clones("avx2", "default")))
+#endif
 #else
 #define WIDE_VECTORS
 #endif
