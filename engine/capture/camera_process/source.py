@@ -64,7 +64,7 @@ def listed(module: str, label: str) -> list[ListedCamera]:
 
 
 class Look(NamedTuple):
-    """When somebody looked [s, host monotonic], and the devices on the bus with their numbers, new at each plugging.
+    """One look at the USB bus: its time [s, host monotonic], and the devices with their numbers, new at each plugging.
 
     ``changed_s`` is when other devices were seen last.
     """

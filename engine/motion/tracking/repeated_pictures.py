@@ -77,7 +77,7 @@ class _Stream:
         is_old = is_read and (self._was_seen(view, picture) or (depths is not None and depths.has_nearly(readings)))
         prints = None if depths is None else depths.places.prints(readings)
         self.is_in_part = (
-            depths is not None and prints is not None and is_read and not is_old and depths.has_part(prints)
+            depths is not None and prints is not None and is_read and not is_old and depths.has_part(readings, prints)
         )
         self.picture = picture
         if is_old or self.is_in_part:
@@ -149,12 +149,12 @@ class _Depths:
         different = (self.readings != readings) & (readings > 0)
         return bool(np.count_nonzero(different, axis=1).min() <= most_different)
 
-    def has_part(self, prints: npt.NDArray[np.uint64]) -> bool:
+    def has_part(self, readings: Picture, prints: npt.NDArray[np.uint64]) -> bool:
         """Whether a tile's readings are all those of an earlier picture, of tiles that are known to change."""
         if self.compared < LEAST_COMPARED:
             return False
         is_like = (self.prints == prints) & (self.new_share >= NEW_SHARE)
-        if not is_like.any():
+        if not is_like.any() or np.count_nonzero(readings) < LEAST_READINGS:
             return False
         newest_first = (self.oldest - 1 - np.arange(EARLIER_PICTURES)) % EARLIER_PICTURES
         found = is_like[newest_first]

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.long, pytest.mark.verification]
 
 SOURCES = ROOT / "engine/core/compiled"
 FORMS = {"baseline": ((), "sse2"), "AVX2": (("-mavx2",), "avx2"), "AVX-512": (("-march=x86-64-v4",), "avx512vl")}
-"""Of each form what the compiler is told, and the processor's flag."""
+"""Options of the compiler, and the processor flag, of each form."""
 HURRIED = TrainingSettings(min_frames=40, min_cycles=0, min_seconds=3.0, max_seconds=6.0, max_frames=200)
 FRAMES = 60
 

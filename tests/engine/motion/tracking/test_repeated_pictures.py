@@ -260,6 +260,14 @@ def test_a_picture_that_is_old_in_part_is_old_for_as_long_as_it_lags(part, lag):
     assert found[50 : 50 + lag] == [LostReason.FRAME_TORN] * lag
 
 
+def test_with_few_readings_no_part_tells_anything():
+    """Two of sixteen tiles are seen, and one of them lags."""
+    pictures = noisy(70)
+    for picture in pictures:
+        picture[:60], picture[120:], picture[60:120, 160:] = 0, 0, 0
+    assert {*torn(pictures, 50, *PARTS["a tile"], 4)} == {None}
+
+
 def test_a_part_that_is_frozen_for_good_is_old_in_every_picture():
     found = torn(noisy(80), 50, *PARTS["lower half"], None)
     assert found == [None] * 50 + [LostReason.FRAME_TORN] * 30

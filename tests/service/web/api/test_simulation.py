@@ -108,7 +108,7 @@ def test_later_sessions_of_the_plan_have_it_and_those_of_another_plan_do_not(
         (b"0 0 0 0 0 0 0\n" * 20, "vxp"),
         (b"", "vxp"),
     ],
-    ids=["other-vxp", "other-dicom", "nobody", "cut", "head-only", "qa-text", "empty"],
+    ids=["other-vxp", "other-dicom", "no-patient", "cut", "head-only", "qa-text", "empty"],
 )
 def test_what_is_another_s_or_none_is_refused_in_a_row_that_names_nobody(client, headers, today, content, said):
     answer = signed(client, today, headers, file=encoded(content))
