@@ -150,12 +150,13 @@ class BenchSession:
         self._gate = step_gate(self._gate, measurement, self._clock.now_ns(), self._limits)
         return measurement.state
 
-    def learn(self) -> None:
-        """Process frames until the first one is measured with a model, then arm the gate."""
+    def learn(self, wait: Callable[[], object] = lambda: None) -> None:
+        """Process frames until the first one is measured with a model, then arm the gate; ``wait`` follows each."""
         for _ in range(MAX_TRAINING_FRAMES):
             if self.decide(self.read()) is MeasurementState.MEASURING:
                 self.arm()
                 return
+            wait()
         msg = f"{MAX_TRAINING_FRAMES} frames were not enough to learn a motion model"
         raise SpeedBenchError(msg)
 

@@ -38,6 +38,7 @@ from lab.performance.machine import (
 from lab.performance.session import BenchSession, Recording
 
 MAX_FRAMES_PER_FIT = 100
+TRAINING_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,7 +248,7 @@ def time_frames_while_fitting(
     background: ProcessTrainer[Outcome] = ProcessTrainer()
     trainer = TimedTrainer(background)
     session = BenchSession(recording, trainer, training=learning_from(sizes.frames, recording.training))
-    session.learn()
+    session.learn(lambda: background.wait(TRAINING_S))  # frames come faster than the training process starts
     set_memory_aside()
     blocks = []
     for number in range(1, sizes.fits + 1):
