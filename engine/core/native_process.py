@@ -17,7 +17,6 @@ import multiprocessing
 import os
 import signal
 
-import cv2
 from threadpoolctl import threadpool_limits
 
 KEPT_BYTES = 1 << 26
@@ -31,6 +30,8 @@ _PR_SET_PDEATHSIG = 1
 
 def keep_calls_in_their_thread() -> None:
     """Let BLAS, OpenMP and OpenCV use only the calling thread, in the whole process, from now on."""
+    import cv2  # not of use to a process before it measures
+
     threadpool_limits(limits=1)
     cv2.setNumThreads(1)
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SWITCH_INTERVAL_S = 0.001
 """The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
 MOST_FILES = 65_536
+LATE_LIBRARIES = ("pyarrow", "cv2")
+"""Sixty megabytes that a service needs for its first session."""
 UMASK = 0o077
 """Models, samples, tapes and audit anchors are readable by the service's own account only."""
 
@@ -46,7 +48,10 @@ def serve(
     if os.environ.get("TIDEGATE_LOG_FORMAT") != "json":  # the next line, after a second of imports, is in any format
         say(f"Tidegate {__version__} starting")
     from engine.core.errors import TidegateError
+    from service.core.late_modules import load_when_used
     from service.core.logging.nonblocking import flush_log
+
+    load_when_used(*LATE_LIBRARIES)
     from service.core.settings.settings import SettingsError, load_settings
     from service.engine_host.beam_lines import alone_at_targets
     from service.engine_host.site_limits.recording_folders import refuse_same_names

@@ -1,5 +1,7 @@
 """The breathing curve of a session that is over: what every export is made from."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime

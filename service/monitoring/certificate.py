@@ -13,8 +13,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NoReturn, Self
 
-from cryptography import x509
-
 from service.core.periodic import PeriodicWorker
 from service.core.settings.settings import Settings
 
@@ -170,6 +168,8 @@ class ServedCertificate:
 
 
 def _loaded(cert: Path, key: Path, content: tuple[bytes, bytes]) -> _Pair:
+    from cryptography import x509  # fifteen megabytes that only TLS needs
+
     chain = x509.load_pem_x509_certificates(content[0])
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2

@@ -1,8 +1,6 @@
 """HTTP calls to the provider: bounded in time and size, certificates verified, no redirects, no proxy.
 
 All calls block: never call them from the event loop or from a request that is answered from memory.
-
-Errors of log-ins and tokens of the OpenID Connect provider; the reasons are stable codes for audit and metrics.
 """
 
 import json
@@ -11,9 +9,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import quote_plus
 
 import httpx2
@@ -22,53 +19,13 @@ from authlib.integrations.httpx_client import OAuth2Client
 from authlib.oauth2.rfc6749.parameters import prepare_grant_uri
 from authlib.oauth2.rfc7636 import create_s256_code_challenge
 
-from service.core.errors import ServiceError
+from service.access.oidc.refusals import OidcReason, OidcRefusedError, OidcUnavailableError
 
 MAX_ANSWER_BYTES = 512 * 1024
 WHOLE_FACTOR = 2.0
 """A whole call takes at most this many times the time-out for a single read."""
 MAX_CALLS = 8
-TIMEOUT_S = 5.0
-"""Longest wait for the provider."""
 _CALL_SLOTS = threading.BoundedSemaphore(MAX_CALLS)
-
-
-class OidcReason(StrEnum):
-    """Why a token, a response or a log-in of the provider is refused."""
-
-    MALFORMED = "malformed"
-    ALGORITHM = "algorithm"
-    UNKNOWN_KEY = "unknown_key"
-    SIGNATURE = "signature"
-    TYPE = "type"
-    ISSUER = "issuer"
-    AUDIENCE = "audience"
-    EXPIRED = "expired"
-    NOT_YET_VALID = "not_yet_valid"
-    TOO_LONG_LIVED = "too_long_lived"
-    NONCE = "nonce"
-    CLAIMS = "claims"
-    SCOPE = "scope"
-    STATE = "state"
-    CODE = "code"
-    PROVIDER_REFUSED = "provider_refused"
-    NO_ROLE = "no_role"
-
-
-class OidcRefusedError(ServiceError):
-    """A token or response failed validation; the message never contains its content."""
-
-    code: ClassVar[str] = "oidc_refused"
-
-    def __init__(self, reason: OidcReason, detail: str = "") -> None:
-        self.reason = reason
-        super().__init__(f"{reason.value}: {detail}" if detail else reason.value)
-
-
-class OidcUnavailableError(ServiceError):
-    """The provider cannot be reached, or its response is not valid OpenID Connect."""
-
-    code: ClassVar[str] = "oidc_unavailable"
 
 
 def _within(seconds: float, work: Callable[[], httpx2.Response]) -> httpx2.Response:

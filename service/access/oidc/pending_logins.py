@@ -8,7 +8,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_S, Clock
-from service.access.oidc.http_client import OidcReason, OidcRefusedError
+from service.access.oidc.refusals import OidcReason, OidcRefusedError
 
 LIFE_S = 300.0
 MAX_PENDING = 4_096

@@ -9,22 +9,20 @@ import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from engine.core.errors import TidegateError
 from service.access.accounts.records import NOT_IN_NAMES, check_name
-from service.access.oidc.http_client import (
-    TIMEOUT_S,
-    OidcReason,
-    OidcRefusedError,
-    OidcUnavailableError,
-    ProviderClient,
-    authorization_url,
-)
 from service.access.oidc.pending_logins import PendingLogin, PendingLogins
 from service.access.oidc.provider import Provider, ProviderState
-from service.access.oidc.tokens import Claims, ExpectedClaims, check_id_token
+from service.access.oidc.refusals import TIMEOUT_S, OidcReason, OidcRefusedError, OidcUnavailableError
 from service.core.permissions import Role
 from service.core.settings.oidc import OidcSettings
+
+# Fifteen megabytes of libraries, imported where a site's settings name a provider.
+if TYPE_CHECKING:
+    from service.access.oidc.http_client import ProviderClient
+    from service.access.oidc.tokens import Claims
 
 MAX_GROUPS = 1_000
 MAX_BASE_NAME = 70
@@ -78,7 +76,7 @@ class OidcPeople:
         *,
         settings: OidcSettings,
         provider: Provider,
-        client: ProviderClient,
+        client: "ProviderClient",
         pending: PendingLogins,
         now: Callable[[], datetime],
     ) -> None:
@@ -96,6 +94,8 @@ class OidcPeople:
 
     def begin(self, address: str) -> AuthorizationRedirect:
         """Begin a log-in from memory; raise OidcUnavailableError if the provider's state is missing or too old."""
+        from service.access.oidc.http_client import authorization_url
+
         endpoints = self._known().endpoints
         attempt, browser = self._pending.begin(address)
         url = authorization_url(
@@ -143,7 +143,7 @@ class OidcPeople:
         ):
             raise OidcRefusedError(OidcReason.ISSUER, "another provider sent you back")
 
-    def _claims(self, code: str, attempt: PendingLogin, known: ProviderState) -> Claims:
+    def _claims(self, code: str, attempt: PendingLogin, known: ProviderState) -> "Claims":
         tokens = self._client.exchange(
             known.endpoints.token,
             code=code,
@@ -164,7 +164,9 @@ class OidcPeople:
                 raise
             return self._check(text, access_token, attempt, newer)
 
-    def _check(self, text: str, access_token: str, attempt: PendingLogin, known: ProviderState) -> Claims:
+    def _check(self, text: str, access_token: str, attempt: PendingLogin, known: ProviderState) -> "Claims":
+        from service.access.oidc.tokens import ExpectedClaims, check_id_token
+
         expected = ExpectedClaims(
             issuer=self._provider.issuer,
             audience=self._settings.oidc_client_id,
@@ -173,7 +175,7 @@ class OidcPeople:
         )
         return check_id_token(text, known.keys, expected, nonce=attempt.nonce, access_token=access_token)
 
-    def _person(self, claims: Claims) -> OidcUser:
+    def _person(self, claims: "Claims") -> OidcUser:
         subject = claims["sub"]
         name, name_if_taken = names_of(claims.get(self._settings.oidc_name_claim), self._provider.issuer, subject)
         roles = roles_of(claims.get(self._settings.oidc_groups_claim), self._roles_of_group)

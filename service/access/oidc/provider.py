@@ -8,15 +8,15 @@ import logging
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
-
-from joserfc.jwk import KeySet
+from typing import TYPE_CHECKING, Any, Protocol
 
 from engine.core.clock import NS_PER_S, Clock
 from engine.core.errors import TidegateError
-from service.access.oidc.http_client import OidcUnavailableError
-from service.access.oidc.tokens import keys_from
+from service.access.oidc.refusals import OidcUnavailableError
 from service.core.settings.oidc import is_safe_address
+
+if TYPE_CHECKING:
+    from joserfc.jwk import KeySet
 
 MIN_INTERVAL_S = 30.0
 """Shortest time between two refreshes, successful or not."""
@@ -47,7 +47,7 @@ class ProviderState:
     """Endpoints and keys of one refresh, its monotonic time [ns], and a number that each refresh increments."""
 
     endpoints: Endpoints
-    keys: KeySet
+    keys: "KeySet"
     at_ns: int
     generation: int
 
@@ -164,6 +164,8 @@ class Provider:
 
     def refresh(self) -> bool:
         """Fetch endpoints and keys once; return whether that succeeded. On failure the former state is kept."""
+        from service.access.oidc.tokens import keys_from
+
         self._tried_ns, self._is_refresh_requested = self._clock.now_ns(), False
         try:
             endpoints = endpoints_from(self._client.get_json(f"{self._issuer.rstrip('/')}{DISCOVERY}"), self._issuer)

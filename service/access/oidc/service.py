@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from prometheus_client import CollectorRegistry, Counter, Gauge
 from sqlalchemy.exc import SQLAlchemyError
@@ -12,23 +12,19 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.core.clock import Clock, MonotonicClock
 from service.access.accounts.records import MACHINE_PREFIX, MAX_LENGTH, User
 from service.access.login.logins import LOGIN, OpenedLogin
-from service.access.oidc.http_client import (
-    TIMEOUT_S,
-    OidcReason,
-    OidcRefusedError,
-    OidcUnavailableError,
-    ProviderClient,
-)
 from service.access.oidc.pending_logins import FailureLimiter, PendingLogins
 from service.access.oidc.people import AuthorizationRedirect, AuthorizationResponse, NoRoleError, OidcPeople, OidcUser
 from service.access.oidc.provider import Provider
-from service.access.oidc.tokens import Claims, ExpectedClaims, check_machine_token
+from service.access.oidc.refusals import TIMEOUT_S, OidcReason, OidcRefusedError, OidcUnavailableError
 from service.access.request.identity import Identity
 from service.access.service import AccessService
 from service.core.errors import BoundError, LocalLoginRefusedError, LoginFailedError, ServiceError
 from service.core.permissions import KEY_PERMISSIONS, Permission
 from service.core.settings.oidc import OidcSettings
 from service.storage.audit import SYSTEM, Event
+
+if TYPE_CHECKING:
+    from service.access.oidc.tokens import Claims
 
 MAX_SCOPES = 1_000
 CLIENT_CLAIMS = ("client_id", "azp", "appid")
@@ -72,6 +68,8 @@ class OidcMachines:
         OidcRefusedError
             The token is not valid, or none of its scopes has a permission here.
         """
+        from service.access.oidc.tokens import ExpectedClaims, check_machine_token
+
         provider = self._provider.state()
         if provider is None:
             raise OidcRefusedError(OidcReason.UNKNOWN_KEY, "the provider's keys are not known, or too old")
@@ -98,7 +96,7 @@ def permissions_of(claimed: object, permissions_of_scope: Mapping[str, frozenset
     return frozenset().union(*granted) & KEY_PERMISSIONS
 
 
-def _name(claims: Claims) -> str:
+def _name(claims: "Claims") -> str:
     client = next((claims[name] for name in CLIENT_CLAIMS if name in claims), None)
     longest = MAX_LENGTH - len(MACHINE_PREFIX)
     if not isinstance(client, str) or not 0 < len(client) <= longest or not client.isprintable() or client.isspace():
@@ -184,6 +182,8 @@ class OidcService:
             self._open(self._clock, now, registry)
 
     def _open(self, clock: Clock, now: Callable[[], datetime], registry: CollectorRegistry) -> None:
+        from service.access.oidc.http_client import ProviderClient
+
         settings = self.settings
         client = ProviderClient(
             client_id=settings.oidc_client_id,

@@ -21,7 +21,7 @@ from joserfc.errors import (
 from joserfc.jwk import ECKey, KeySet, RSAKey
 from joserfc.util import base64_to_int
 
-from service.access.oidc.http_client import OidcReason, OidcRefusedError
+from service.access.oidc.refusals import OidcReason, OidcRefusedError
 
 KEY_OF = {"RS": "RSA", "PS": "RSA", "ES": "EC"}
 ALGORITHMS = tuple(f"{family}{size}" for family in KEY_OF for size in (256, 384, 512))

@@ -15,6 +15,9 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     end_with_the_service()
+    from service.core.late_modules import load_when_used
+
+    load_when_used("cv2")  # the pipeline of a session loads it, before the first frame
     from service.engine_host.process.channels import ChannelClosedError
     from service.engine_host.process.engine_server import open_channels, serve_one_session
 

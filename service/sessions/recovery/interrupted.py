@@ -3,6 +3,8 @@
 Every step can be done again: a start that is killed in the middle leaves it to the next one.
 """
 
+from __future__ import annotations
+
 import logging
 from datetime import UTC, datetime
 
@@ -19,8 +21,6 @@ from service.storage.samples.walk import NoSamplesError
 
 logger = logging.getLogger(__name__)
 
-UNREADABLE = (NoSamplesError, pa.ArrowException, OSError, ValueError, KeyError, TypeError)
-"""Errors of a damaged sample file; they must not keep the service from starting."""
 INTERRUPTED = "the service ended while this session ran"
 
 
@@ -61,7 +61,7 @@ def _counted(store: SampleStore, session_id: str) -> tuple[Figures, dict[str, ob
     try:
         for batch in store.batches(session_id):
             figures.add(batch)
-    except UNREADABLE as error:
+    except _unreadable() as error:
         logger.error("the samples of session %s cannot be read and are left as they are: %s", session_id, error)  # noqa: TRY400 - no bug of ours
         return Figures(), {"detail": f"the sample file cannot be read ({type(error).__name__}); it is left as it is"}
     return figures, {"detail": "no stream, or one that could not be settled yet"}
@@ -84,7 +84,7 @@ def _settle_late(database: Database, store: SampleStore, session_id: str) -> Non
 def _settled(store: SampleStore, session_id: str, figures: Figures) -> Settlement | None:
     try:
         settled = store.settle(session_id, figures.add)
-    except UNREADABLE as error:
+    except _unreadable() as error:
         logger.warning("the samples of session %s stay in their stream: %s", session_id, error)
         return None
     if not settled.is_whole:
@@ -117,3 +117,8 @@ def _forget(store: SampleStore, session_id: str, settled: Settlement | None) -> 
         store.forget_stream(session_id)
     except OSError as error:
         logger.warning("the stream of session %s could not be removed: %s", session_id, error.strerror)
+
+
+def _unreadable() -> tuple[type[Exception], ...]:
+    """Return the errors of a damaged sample file; they must not keep the service from starting."""
+    return (NoSamplesError, pa.ArrowException, OSError, ValueError, KeyError, TypeError)

@@ -1,5 +1,7 @@
 """Figures of a session's report, computed from its samples alone: the export is enough to compute them again."""
 
+from __future__ import annotations
+
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -3,6 +3,8 @@
 A part is read at the scale at which it is drawn: an hour at 30 frames/s is as cheap to look at as ten seconds.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 

@@ -3,6 +3,8 @@
 Sample files in the audit: each file's hash, and which files were removed.
 """
 
+from __future__ import annotations
+
 import json
 from dataclasses import dataclass
 

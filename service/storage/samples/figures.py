@@ -3,6 +3,8 @@
 One pass, in a memory that does not grow: latencies are counted in bins of a microsecond.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -6,6 +6,8 @@ not be measured is null; inside the two lists, whose cells have fixed places, it
 Convert the engine's frame records to a batch of samples.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -18,17 +20,15 @@ import pyarrow as pa
 from engine.control import FrameRecord
 from engine.core.breath import Breath
 from engine.core.frames import Motion
+from service.core.late_modules import when_loaded
 from service.core.schemas.base import finite_or_none
 
 SCHEMA_NAME = "tidegate.samples/1"
 PREFIX = "tidegate."
 
-# One native thread a call, as in the engine (docs/1-start/architecture.md).
-pa.set_cpu_count(1)
-pa.set_io_thread_count(1)
-
-_CELLS = pa.list_(pa.field("element", pa.float32(), nullable=False))
-_INT, _REAL, _TEXT = pa.int64(), pa.float64(), pa.string()
+# By name: a service without a session has no use for Arrow.
+_CELLS = "list<element: float not null>"
+_INT, _REAL, _TEXT, _TRUTH = "int64", "double", "string", "bool"
 NO_CELLS = np.empty(0, dtype=np.float32)
 NO_BREATH = Breath(phase_confidence=float("nan"))
 NOT_MEASURED: dict[str, object] = dict.fromkeys(
@@ -44,17 +44,17 @@ class Column:
     """One column: its type, its unit, and what it means."""
 
     name: str
-    kind: Any
+    kind: str
     unit: str
     meaning: str
     is_optional: bool = True
 
 
-def _always(name: str, kind: object, unit: str, meaning: str) -> Column:
+def _always(name: str, kind: str, unit: str, meaning: str) -> Column:
     return Column(name=name, kind=kind, unit=unit, meaning=meaning, is_optional=False)
 
 
-def _maybe(name: str, kind: object, unit: str, meaning: str) -> Column:
+def _maybe(name: str, kind: str, unit: str, meaning: str) -> Column:
     return Column(name=name, kind=kind, unit=unit, meaning=meaning)
 
 
@@ -74,7 +74,7 @@ COLUMNS = (
     _maybe("inlier_share", _REAL, "1", "share of the seen pixels that the model explains"),
     _always("gate", _TEXT, "", "disarmed, hold, dwell, beam_on or fault"),
     _maybe("hold_reason", _TEXT, "", "why the beam was held; null if and only if gate is beam_on"),
-    _always("line_on", pa.bool_(), "", "the beam line as read back, true also when it did not answer"),
+    _always("line_on", _TRUTH, "", "the beam line as read back, true also when it did not answer"),
     _maybe("captured_ns", _INT, "ns", "when the camera took the frame, on the host's monotonic clock"),
     _always("received_ns", _INT, "ns", "when the frame was in our hands, host monotonic"),
     _maybe("measured_ns", _INT, "ns", "when it had been measured, host monotonic"),
@@ -86,7 +86,7 @@ COLUMNS = (
     _maybe("breath_amplitude", _REAL, "mm", "end of exhale to end of inhale (l where the signal is a volume)"),
     _maybe("breath_baseline", _REAL, "mm", "level of the end of exhale (l likewise)"),
     _maybe("breath_drift", _REAL, "mm", "how far the baseline is from where it was learned (l likewise)"),
-    _maybe("region_rows", pa.int32(), "1", "rows of the grid in regions_mm"),
+    _maybe("region_rows", "int32", "1", "rows of the grid in regions_mm"),
     _maybe("regions_mm", _CELLS, "mm", "motion of each cell of the region grid, row by row, NaN where unknown"),
     _maybe("named_mm", _CELLS, "mm", "motion of the named regions in the order of the head, NaN where unknown"),
 )
@@ -132,10 +132,20 @@ def head_of(metadata: Mapping[bytes, bytes]) -> SampleHead:
     return SampleHead(**{**found, "regions": tuple(found["regions"])})
 
 
+def _call_in_one_thread() -> None:
+    """Have Arrow work in the thread of each call, as the engine does (docs/1-start/architecture.md)."""
+    pa.set_cpu_count(1)
+    pa.set_io_thread_count(1)
+
+
+when_loaded("pyarrow", _call_in_one_thread)
+
+
 def _field(column: Column) -> pa.Field:
+    is_list = column.kind == _CELLS
     return pa.field(
         column.name,
-        column.kind,
+        pa.list_(pa.field("element", pa.float32(), nullable=False)) if is_list else column.kind,
         nullable=column.is_optional,
         metadata={"unit": column.unit, "meaning": column.meaning},
     )

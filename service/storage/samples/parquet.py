@@ -1,13 +1,15 @@
 """A closed session's samples as Parquet: written complete or not at all, and read back before it is used."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from engine.core.files import file_sha256, put_in_place
 from service.storage.samples.layout import SampleHead, head_of
@@ -87,12 +89,16 @@ def write_parquet(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatc
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
     """Read it a piece at a time; the file is opened at once, and stays readable when it is taken away meanwhile."""
+    import pyarrow.parquet as pq  # with the library, when it is used
+
     file = pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False)
     return _pieces(file, columns)
 
 
 def read_row(path: Path, index: int) -> pa.RecordBatch:
     """Read one row, from its row group alone."""
+    import pyarrow.parquet as pq  # with the library, when it is used
+
     with pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False) as file:
         group = file.read_row_group(index // ROWS_A_GROUP, use_threads=False)
         return group.slice(index % ROWS_A_GROUP, 1).combine_chunks().to_batches()[0]
@@ -100,17 +106,24 @@ def read_row(path: Path, index: int) -> pa.RecordBatch:
 
 def parquet_head(path: Path) -> tuple[SampleHead, int]:
     """Read a file's head, and how many rows it has."""
+    import pyarrow.parquet as pq  # with the library, when it is used
+
     with pq.ParquetFile(path, pre_buffer=False) as file:
         return head_of(file.schema_arrow.metadata or {}), int(file.metadata.num_rows)
 
 
-def _pieces(file: pq.ParquetFile, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
+def _pieces(
+    file: Any,  # noqa: ANN401 - pyarrow has no types
+    columns: Sequence[str] | None,
+) -> Iterator[pa.RecordBatch]:
     with file:
         yield from file.iter_batches(batch_size=READ_ROWS, columns=columns, use_threads=False)
 
 
 def _write(partial: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> tuple[list[str], int]:
     digests, rows = [], 0
+    import pyarrow.parquet as pq  # with the library, when it is used
+
     with pq.ParquetWriter(partial, schema, compression="zstd", use_dictionary=_texts(schema)) as writer:
         for group in _groups(schema, batches):
             writer.write_batch(group, row_group_size=ROWS_A_GROUP)
@@ -145,6 +158,8 @@ def _joined(schema: pa.Schema, held: list[pa.RecordBatch]) -> pa.RecordBatch:
 
 
 def _group_digests(path: Path) -> Iterator[str]:
+    import pyarrow.parquet as pq  # with the library, when it is used
+
     with pq.ParquetFile(path, pre_buffer=False) as file:
         for group in range(file.metadata.num_row_groups):
             table = file.read_row_group(group, use_threads=False).combine_chunks()

@@ -1,5 +1,7 @@
 """Export of samples over the API: of a running session as far as they are written, of a closed one all."""
 
+from __future__ import annotations
+
 import csv
 import io
 import math

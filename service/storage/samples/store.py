@@ -4,6 +4,8 @@ While the stream exists it is authoritative, and a Parquet file beside it has no
 closing a session can be repeated: settle, record the session's end, only then remove the stream.
 """
 
+from __future__ import annotations
+
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence

@@ -11,6 +11,8 @@ A batch carries its own seal in its metadata. It is taken with a blank of the sa
 byte of the file is under a seal: head, batches, what describes them, and padding.
 """
 
+from __future__ import annotations
+
 import hashlib
 import os
 from collections.abc import Sequence

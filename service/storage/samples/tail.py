@@ -4,6 +4,8 @@ A stream is followed as it grows: where its batches lie is found once and rememb
 is read without the rest. Seals are not checked here; export and ``verify`` check them.
 """
 
+from __future__ import annotations
+
 import threading
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -11,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from service.storage.samples.layout import SampleHead, head_of
 from service.storage.samples.store import SampleStore
@@ -72,7 +73,7 @@ class SampleTails:
         except FileNotFoundError:
             return self._closed_page(session_id, after, oldest_ns, most)
 
-    def _tail(self, session_id: str) -> "_StreamTail":
+    def _tail(self, session_id: str) -> _StreamTail:
         path = self._store.stream_path(session_id)
         if not path.exists():
             raise FileNotFoundError
@@ -161,6 +162,8 @@ class _StreamTail:
 
 def _read_end(path: Path) -> pa.Table:
     try:
+        import pyarrow.parquet as pq  # with the library, when it is used
+
         with pq.ParquetFile(path, pre_buffer=False) as file:
             count = file.num_row_groups
             wanted = list(range(max(count - GROUPS, 0), count))

@@ -4,6 +4,8 @@ A kill leaves a file that is cut off somewhere: torn. Anything else (a batch tha
 seal, whole batches behind one that cannot be read) is no kill's work: damaged.
 """
 
+from __future__ import annotations
+
 import enum
 import mmap
 import os

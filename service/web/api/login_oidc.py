@@ -14,9 +14,9 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from pydantic import Field
 
 from service.access.login.cookies import CookieScope, set_login_cookie
-from service.access.oidc.http_client import OidcReason
 from service.access.oidc.pending_logins import LIFE_S
 from service.access.oidc.people import AuthorizationResponse
+from service.access.oidc.refusals import OidcReason
 from service.access.oidc.service import BUSY, DISABLED, NOT_OFFERED, STORAGE, UNAVAILABLE, OidcService, Refusal
 from service.core.schemas.base import Answer
 from service.web import dependencies

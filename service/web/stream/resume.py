@@ -4,6 +4,8 @@ While the record is read, live frames are buffered for the client, until the rec
 time limit is over. Frames that are not resent are reported as a gap.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime

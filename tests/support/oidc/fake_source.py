@@ -1,6 +1,6 @@
 """A source of provider documents without a network."""
 
-from service.access.oidc.http_client import OidcUnavailableError
+from service.access.oidc.refusals import OidcUnavailableError
 from tests.support.oidc.provider_server import Provider as Described
 from tests.support.oidc.tokens import ISSUER, KEY, published
 

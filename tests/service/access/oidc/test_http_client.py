@@ -9,7 +9,8 @@ import time
 import pytest
 
 from service.access.oidc import http_client
-from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError, ProviderClient
+from service.access.oidc.http_client import ProviderClient
+from service.access.oidc.refusals import OidcReason, OidcRefusedError, OidcUnavailableError
 from tests.support.oidc.provider_server import SECRET, Provider, running
 from tests.support.oidc.tokens import CLIENT
 

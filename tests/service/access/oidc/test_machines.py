@@ -5,8 +5,8 @@ from datetime import timedelta
 import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
-from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider
+from service.access.oidc.refusals import OidcReason, OidcRefusedError, OidcUnavailableError
 from service.access.oidc.service import OidcMachines, permissions_of
 from service.core.permissions import Permission
 from service.core.settings.oidc import OidcSettings

@@ -4,8 +4,8 @@ import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
 from service.access.oidc import pending_logins
-from service.access.oidc.http_client import OidcRefusedError
 from service.access.oidc.pending_logins import LIFE_S, MAX_FAILURES, MAX_PER_ADDRESS, FailureLimiter, PendingLogins
+from service.access.oidc.refusals import OidcRefusedError
 
 
 @pytest.fixture

@@ -7,10 +7,11 @@ import httpx2
 import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock
-from service.access.oidc.http_client import OidcReason, OidcRefusedError, OidcUnavailableError, ProviderClient
+from service.access.oidc.http_client import ProviderClient
 from service.access.oidc.pending_logins import PendingLogins
 from service.access.oidc.people import AuthorizationResponse, NoRoleError, OidcPeople, names_of, roles_of
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider
+from service.access.oidc.refusals import OidcReason, OidcRefusedError, OidcUnavailableError
 from service.core.permissions import Role
 from service.core.settings.oidc import OidcSettings
 from tests.support.oidc.provider_server import running

@@ -5,8 +5,8 @@ import threading
 import pytest
 
 from engine.core.clock import NS_PER_S, ManualClock, MonotonicClock
-from service.access.oidc.http_client import OidcUnavailableError
 from service.access.oidc.provider import MIN_INTERVAL_S, Provider, endpoints_from
+from service.access.oidc.refusals import OidcUnavailableError
 from tests.support.oidc.fake_source import FakeSource
 from tests.support.oidc.provider_server import Provider as Described
 from tests.support.oidc.tokens import ISSUER, OTHER_KEY, published

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from joserfc.jwk import ECKey, KeySet, OctKey, RSAKey
 
-from service.access.oidc.http_client import OidcReason, OidcRefusedError
+from service.access.oidc.refusals import OidcReason, OidcRefusedError
 from service.access.oidc.tokens import (
     MAX_TOKEN_CHARACTERS,
     check_id_token,

@@ -1,0 +1,65 @@
+"""Libraries that are loaded when one of their names is used first: an idle service has no use for them.
+
+A module of ours imports such a library as any other. What it reads of it at its own import loads it: types of
+annotations (`from __future__ import annotations`), classes that it derives from, constants made of it.
+"""
+
+import importlib.util
+import sys
+import threading
+from collections.abc import Callable
+from types import ModuleType
+
+_loading = threading.RLock()
+"""A second thread waits until the first has loaded the library, and never sees half of one."""
+_afterwards: dict[str, list[Callable[[], object]]] = {}
+
+
+class _LateModule(ModuleType):
+    """A module whose code runs when a name is read that it does not have yet."""
+
+    def __getattr__(self, name: str) -> object:
+        """Load the module, and return one of its names."""
+        with _loading:
+            spec = self.__spec__
+            if spec is None or spec.loader is None or self.__dict__.get("__is_late__") is not True:
+                msg = f"module {self.__name__!r} has no attribute {name!r}"
+                raise AttributeError(msg)
+            self.__dict__["__is_late__"] = False
+            if spec.submodule_search_locations is not None:
+                self.__path__ = spec.submodule_search_locations
+            spec.loader.exec_module(self)
+            for work in _afterwards.pop(self.__name__, ()):
+                work()
+        found: object = getattr(self, name)
+        return found
+
+
+def load_when_used(*names: str) -> None:
+    """Have these libraries loaded at their first use, unless they are already; call it before they are imported.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        One of them is not installed.
+    """
+    for name in names:
+        if name in sys.modules:
+            continue
+        spec = importlib.util.find_spec(name)
+        if spec is None:
+            raise ModuleNotFoundError(name=name)
+        module = _LateModule(name)
+        module.__dict__.update(importlib.util.module_from_spec(spec).__dict__, __is_late__=True)
+        module.__dict__.pop("__path__", None)  # whoever imports a part of it loads it first
+        sys.modules[name] = module
+
+
+def when_loaded(name: str, work: Callable[[], object]) -> None:
+    """Run ``work`` as soon as a library is loaded: now, unless it is to be loaded when used."""
+    with _loading:
+        module = sys.modules.get(name)
+        if isinstance(module, _LateModule) and module.__dict__["__is_late__"]:
+            _afterwards.setdefault(name, []).append(work)
+            return
+    work()
