@@ -191,7 +191,7 @@ PLANTED: tuple[Planted, ...] = (
     Planted(
         what="old parts of a picture are not looked for",
         file=_REPEATED,
-        old=" and depths.has_part(readings, prints)",
+        old=" and earlier.has_part()",
         new=" and False",
         test=f"{_REPEATED_TEST}::test_a_picture_that_is_old_in_part_is_old_for_as_long_as_it_lags",
     ),

@@ -603,22 +603,133 @@ static int some_differs_little(const uint16_t *earlier, Py_ssize_t pictures, con
     return 0;
 }
 
-PyObject *differs_little(PyObject *module, PyObject *const *args, Py_ssize_t count)
+enum { READ = 1, SAME = 2, LAST = 4, NEARLY = 8, PART = 16 };
+
+/* Whether a view equals any of the earlier ones, and whether it equals the newest of them. */
+static int equal_views(const uint8_t *earlier, Py_ssize_t pictures, Py_ssize_t size, Py_ssize_t newest, const uint8_t *view)
+{
+    int found = 0;
+    for (Py_ssize_t i = 0; i < pictures; i++)
+        if (memcmp(earlier + i * size, view, (size_t)size) == 0)
+            found |= i == newest ? SAME | LAST : SAME;
+    return found;
+}
+
+/* Every step-th row and column of a depth picture. */
+static void thinned(const Py_buffer *depth, Py_ssize_t step, uint16_t *target)
+{
+    for (Py_ssize_t row = 0; row < depth->shape[0]; row += step) {
+        const uint16_t *line = (const uint16_t *)depth->buf + row * depth->shape[1];
+        for (Py_ssize_t column = 0; column < depth->shape[1]; column += step)
+            *target++ = line[column];
+    }
+}
+
+static Py_ssize_t steps_in(Py_ssize_t size, Py_ssize_t step)
+{
+    return (size + step - 1) / step;
+}
+
+/* What the thinned views tell of a depth picture beside the earlier ones, as flags. The readings of its view, the
+ * fingerprints of its tiles and a less thinned view are written out. */
+PyObject *look_at_depth(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 3, "differs_little"))
+    if (!counted(count, 15, "look_at_depth"))
         return NULL;
     Arrays arrays = {0};
-    Py_buffer *earlier = array_of(&arrays, args[0], "earlier", 'H', 2);
-    Py_buffer *readings = array_of(&arrays, args[1], "readings", 'H', 1);
-    Py_ssize_t most = whole_of(&arrays, args[2], "most_different", 0, PY_SSIZE_T_MAX);
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
+    Py_ssize_t tile_step = whole_of(&arrays, args[2], "tile_step_px", 1, 4096);
+    Py_buffer *tile_of = array_of(&arrays, args[3], "tile_of", 'q', 1);
+    Py_buffer *weights = array_of(&arrays, args[4], "weights", 'q', 1);
+    Py_buffer *earlier = array_of(&arrays, args[5], "earlier", 'H', 2);
+    Py_buffer *earlier_prints = array_of(&arrays, args[6], "earlier_prints", 'q', 2);
+    Py_buffer *new_share = array_of(&arrays, args[7], "new_share", 'd', 1);
+    Py_ssize_t newest = whole_of(&arrays, args[8], "newest", 0, PY_SSIZE_T_MAX);
+    Py_ssize_t least_readings = whole_of(&arrays, args[9], "least_readings", 0, PY_SSIZE_T_MAX);
+    double old_share = number_of(&arrays, args[10], "old_share");
+    double least_new = number_of(&arrays, args[11], "least_new");
+    Py_buffer *readings = output_of(&arrays, args[12], "readings", 'H', 1);
+    Py_buffer *prints = output_of(&arrays, args[13], "prints", 'q', 1);
+    Py_buffer *tiles = output_of(&arrays, args[14], "tiles", 'H', 2);
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    require(&arrays, earlier->shape[1] == readings->shape[0], "earlier must have a row of as many readings a picture");
+    Py_ssize_t rows = depth->shape[0], columns = depth->shape[1], n = readings->shape[0], tile_count = prints->shape[0];
+    Py_ssize_t pictures = earlier->shape[0];
+    require(&arrays, n == steps_in(rows, step) * steps_in(columns, step), "readings must be one for each step");
+    require(&arrays, tiles->shape[0] == steps_in(rows, tile_step) && tiles->shape[1] == steps_in(columns, tile_step),
+            "tiles must be one for each tile_step");
+    require(&arrays, tile_of->shape[0] == n && weights->shape[0] == n && earlier->shape[1] == n,
+            "tile_of, weights and earlier must be one for each reading");
+    require(&arrays, earlier_prints->shape[0] == pictures && earlier_prints->shape[1] == tile_count &&
+            new_share->shape[0] == tile_count, "earlier_prints and new_share must be one for each tile");
+    require(&arrays, newest < pictures, "newest must be one of the pictures");
+    if (!arrays.failed)
+        require(&arrays, are_indices(tile_of, tile_count), "tile_of must be of the tiles");
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    int is_old = some_differs_little(earlier->buf, earlier->shape[0], readings->buf, readings->shape[0], most);
-    return finish(&arrays, is_old ? Py_True : Py_False);
+    thinned(depth, step, readings->buf);
+    thinned(depth, tile_step, tiles->buf);
+    const uint16_t *reading = readings->buf;
+    const int64_t *tile = tile_of->buf;
+    const uint64_t *weight = weights->buf, *before = earlier_prints->buf;
+    uint64_t *print = prints->buf;
+    memset(print, 0, (size_t)prints->len);
+    Py_ssize_t read = 0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        print[tile[i]] += (uint64_t)reading[i] * weight[i];
+        read += reading[i] != 0;
+    }
+    int seen = read ? READ : 0;
+    if (read < least_readings) {
+        seen |= equal_views(earlier->buf, pictures, 2 * n, newest, readings->buf);
+    } else {
+        Py_ssize_t most = read - (Py_ssize_t)ceil(old_share * (double)read - 1e-9);
+        seen |= some_differs_little(earlier->buf, pictures, reading, n, most) ? NEARLY : 0;
+    }
+    for (Py_ssize_t i = 0; i < pictures; i++, before += tile_count)
+        for (Py_ssize_t at = 0; at < tile_count; at++)
+            if (before[at] == print[at] && print[at] != 0 && ((const double *)new_share->buf)[at] >= least_new)
+                seen |= PART;
+    PyObject *found = PyLong_FromLong(seen);
+    PyObject *result = finish(&arrays, found == NULL ? Py_None : found);
+    Py_XDECREF(found);
+    return result;
+}
+
+/* The same of a colour picture: whether its thinned view was seen. */
+PyObject *look_at_color(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 5, "look_at_color"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
+    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
+    Py_buffer *earlier = array_of(&arrays, args[2], "earlier", 'B', 2);
+    Py_ssize_t newest = whole_of(&arrays, args[3], "newest", 0, PY_SSIZE_T_MAX);
+    Py_buffer *view = output_of(&arrays, args[4], "view", 'B', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t rows = color->shape[0], columns = color->shape[1], channels = color->shape[2], n = view->shape[0];
+    require(&arrays, n == steps_in(rows, step) * steps_in(columns, step) * channels, "view must be one for each step");
+    require(&arrays, earlier->shape[1] == n && newest < earlier->shape[0], "earlier must be views of as many values");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    uint8_t *target = view->buf, any = 0;
+    for (Py_ssize_t row = 0; row < rows; row += step)
+        for (Py_ssize_t column = 0; column < columns; column += step)
+            for (Py_ssize_t channel = 0; channel < channels; channel++) {
+                uint8_t value = ((const uint8_t *)color->buf)[(row * columns + column) * channels + channel];
+                any |= value;
+                *target++ = value;
+            }
+    int seen = (any ? READ : 0) | equal_views(earlier->buf, earlier->shape[0], n, newest, view->buf);
+    PyObject *found = PyLong_FromLong(seen);
+    PyObject *result = finish(&arrays, found == NULL ? Py_None : found);
+    Py_XDECREF(found);
+    return result;
 }
 
 PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -647,29 +758,4 @@ PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count)
             coloured += most - least > equal;
         }
     return finish(&arrays, (double)(all - coloured) / (double)all > most_equal ? Py_True : Py_False);
-}
-
-PyObject *thin(PyObject *module, PyObject *const *args, Py_ssize_t count)
-{
-    (void)module;
-    if (!counted(count, 3, "thin"))
-        return NULL;
-    Arrays arrays = {0};
-    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
-    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
-    Py_buffer *out = output_of(&arrays, args[2], "thinned", 'H', 2);
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    Py_ssize_t columns = depth->shape[1];
-    require(&arrays, out->shape[0] == (depth->shape[0] + step - 1) / step && out->shape[1] == (columns + step - 1) / step,
-            "thinned must have every step-th row and column");
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    uint16_t *target = out->buf;
-    for (Py_ssize_t row = 0; row < depth->shape[0]; row += step) {
-        const uint16_t *line = (const uint16_t *)depth->buf + row * columns;
-        for (Py_ssize_t column = 0; column < columns; column += step)
-            *target++ = line[column];
-    }
-    return finish(&arrays, Py_None);
 }

@@ -10,7 +10,6 @@ a tile whose readings were new in nearly all pictures so far, and are all those 
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -47,6 +46,11 @@ NEW_SHARE, NEW_WEIGHT = 0.9, 1.0 / 30.0
 """Share of the last second's pictures in which a tile has to have been new: one that hardly ever is, such as that of a
 plate, tells nothing."""
 
+READ, SAME, LAST, NEARLY, PART = (1 << bit for bit in range(5))
+"""What a picture's thinned view tells: something is read; it equals an earlier one, and the newest of them (both only
+asked of fewer than `LEAST_READINGS`, and of colour); nearly all readings agree with an earlier one; the fingerprint of
+a tile that changes is that of an earlier one."""
+
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
@@ -55,13 +59,12 @@ class _Stream:
     """The last pictures of one stream.
 
     ``repeats`` counts the repeated pictures since the last new one; ``is_in_part`` is whether only tiles of the newest
-    are old. ``views`` holds the thinned views of the last new pictures.
+    are old.
     """
 
     is_depth: bool
     picture: Picture | None = None
-    views: deque[bytes] = field(default_factory=lambda: deque(maxlen=EARLIER_PICTURES))
-    depths: "_Depths | None" = None
+    earlier: "_Depths | _Colors | None" = None
     timestamp_us: int | None = None
     repeats: int = 0
     is_in_part: bool = False
@@ -70,92 +73,156 @@ class _Stream:
         if timestamp_us == self.timestamp_us:
             return  # paired with another depth frame, with its time unchanged
         self.timestamp_us = timestamp_us
-        depths = self._depths_of(picture.shape) if self.is_depth else None
-        readings = picture[::THINNING_PX, ::THINNING_PX].flatten() if depths is None else depths.thinned(picture)
-        view = readings.tobytes()
-        is_read = any(view)
-        is_old = is_read and (self._was_seen(view, picture) or (depths is not None and depths.has_nearly(readings)))
-        prints = None if depths is None else depths.places.prints(readings)
-        self.is_in_part = (
-            depths is not None and prints is not None and is_read and not is_old and depths.has_part(readings, prints)
-        )
+        earlier = self.earlier
+        if earlier is None or earlier.shape != picture.shape:
+            earlier = self.earlier = _Depths.of(picture.shape) if self.is_depth else _Colors.of(picture.shape)
+        seen = earlier.look(picture)
+        is_old = bool(seen & READ) and (bool(seen & NEARLY) or self._was_seen(seen, picture))
+        self.is_in_part = bool(seen & PART) and bool(seen & READ) and not is_old and earlier.has_part()
         self.picture = picture
         if is_old or self.is_in_part:
             self.repeats += 1
             return
-        self.views.append(view)
-        if depths is not None and prints is not None:
-            depths.keep(readings, prints)
+        earlier.keep()
         self.repeats = 0
 
-    def _was_seen(self, view: bytes, picture: Picture) -> bool:
+    def _was_seen(self, seen: int, picture: Picture) -> bool:
         """Whether it equals the last picture in every pixel, or the thinned view of an earlier one."""
-        if view not in self.views:
+        if not seen & SAME:
             return False
-        is_next_to_last = self.repeats == 0 and view == self.views[-1]
+        is_next_to_last = self.repeats == 0 and seen & LAST
         return not is_next_to_last or (self.picture is not None and np.array_equal(self.picture, picture))
 
-    def _depths_of(self, shape: tuple[int, ...]) -> "_Depths":
-        if self.depths is None or self.depths.places.shape != shape:
-            self.depths = _Depths(places=_Places.of(shape))
-        return self.depths
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Colors:
+    """Thinned views of the last new colour pictures of one size, in a ring; ``view`` is that of the newest."""
+
+    shape: tuple[int, ...]
+    views: npt.NDArray[np.uint8]
+    view: npt.NDArray[np.uint8]
+    oldest: int = 0
+
+    @staticmethod
+    def of(shape: tuple[int, ...]) -> "_Colors":
+        """Make an empty ring."""
+        size = math.prod([-(-side // THINNING_PX) for side in shape[:2]]) * math.prod(shape[2:])
+        return _Colors(
+            shape=shape,
+            views=np.zeros((EARLIER_PICTURES, size), dtype=np.uint8),
+            view=np.zeros(size, dtype=np.uint8),
+        )
+
+    def look(self, picture: Picture) -> int:
+        """Return what the thinned view of a picture tells."""
+        newest, compiled = (self.oldest - 1) % EARLIER_PICTURES, FramePath.kernels
+        if compiled is not None:
+            seen: int = compiled.look_at_color(
+                np.ascontiguousarray(picture), THINNING_PX, self.views, newest, self.view
+            )
+            return seen
+        self.view[:] = picture[::THINNING_PX, ::THINNING_PX].ravel()
+        return READ * bool(self.view.any()) | _equal(self.views, self.view, newest)
+
+    def has_part(self) -> bool:
+        """Return False: only depth is compared by tiles."""
+        return False
+
+    def keep(self) -> None:
+        """Keep the newest view in place of the oldest."""
+        self.views[self.oldest] = self.view
+        self.oldest = (self.oldest + 1) % EARLIER_PICTURES
 
 
-@dataclass(slots=True, kw_only=True)
+def _equal(earlier: Picture, view: Picture, newest: int) -> int:
+    """Return whether a view equals an earlier one, and the newest of them."""
+    are_equal = (earlier == view).all(axis=1)
+    return SAME * bool(are_equal.any()) | LAST * bool(are_equal[newest])
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
 class _Depths:
     """The last new depth pictures of one size, in rings of `EARLIER_PICTURES`.
 
-    ``newest`` is the less thinned view of the picture that is looked at.
-
-    ``readings`` are their thinned views, ``prints`` fingerprints of these by tile, and ``tiles`` less thinned views.
-    ``new_share``, over ``compared`` pictures, is the share of those in the last second in which a tile was new.
+    ``readings`` are their thinned views, ``prints`` fingerprints of these by tile, ``tiles`` less thinned views;
+    ``row``, ``marks`` and ``spare`` are the same of the picture that is looked at. ``new_share``, over ``compared``
+    pictures, is the share of those in the last second in which a tile was new.
     """
 
+    shape: tuple[int, ...]
     places: "_Places"
-    readings: Picture = field(init=False)
-    prints: npt.NDArray[np.uint64] = field(init=False)
-    tiles: Picture = field(init=False)
-    newest: Picture = field(init=False)
+    readings: npt.NDArray[np.uint16]
+    prints: npt.NDArray[np.int64]
+    tiles: list[npt.NDArray[np.uint16]]
+    row: npt.NDArray[np.uint16]
+    marks: npt.NDArray[np.int64]
+    spare: npt.NDArray[np.uint16]
     new_share: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(TILE_ROWS * TILE_COLUMNS))
     oldest: int = 0
     compared: int = -1
 
-    def __post_init__(self) -> None:
-        """Make the rings."""
-        self.readings = np.zeros((EARLIER_PICTURES, self.places.order.size), dtype=np.uint16)
-        self.prints = np.zeros((EARLIER_PICTURES, TILE_ROWS * TILE_COLUMNS), dtype=np.uint64)
-        shape = [-(-size // TILE_PX) for size in self.places.shape]
-        self.tiles = np.zeros((EARLIER_PICTURES, *shape), dtype=np.uint16)
-        self.newest = np.zeros(shape, dtype=np.uint16)
+    @staticmethod
+    def of(shape: tuple[int, ...]) -> "_Depths":
+        """Make empty rings."""
+        places = _Places.of(shape)
+        size, tiles = places.tile_of.size, TILE_ROWS * TILE_COLUMNS
+        views = np.zeros((EARLIER_PICTURES + 1, *[-(-side // TILE_PX) for side in shape]), dtype=np.uint16)
+        return _Depths(
+            shape=shape,
+            places=places,
+            readings=np.zeros((EARLIER_PICTURES, size), dtype=np.uint16),
+            prints=np.zeros((EARLIER_PICTURES, tiles), dtype=np.int64),
+            tiles=list(views[1:]),
+            row=np.zeros(size, dtype=np.uint16),
+            marks=np.zeros(tiles, dtype=np.int64),
+            spare=views[0],
+        )
 
-    def thinned(self, picture: Picture) -> Picture:
-        """Look at a picture; return its thinned view, shape (readings,)."""
-        compiled = FramePath.kernels
+    def look(self, picture: Picture) -> int:
+        """Return what the thinned view of a picture tells."""
+        newest, compiled = (self.oldest - 1) % EARLIER_PICTURES, FramePath.kernels
         if compiled is None:
-            self.newest[:] = picture[::TILE_PX, ::TILE_PX]
-        else:
-            compiled.thin(np.ascontiguousarray(picture), TILE_PX, self.newest)
-        return self.newest[:: THINNING_PX // TILE_PX, :: THINNING_PX // TILE_PX].flatten()
+            return self._look(picture, newest)
+        seen: int = compiled.look_at_depth(
+            np.ascontiguousarray(picture),
+            THINNING_PX,
+            TILE_PX,
+            self.places.tile_of,
+            self.places.weights,
+            self.readings,
+            self.prints,
+            self.new_share,
+            newest,
+            LEAST_READINGS,
+            OLD_SHARE,
+            NEW_SHARE,
+            self.row,
+            self.marks,
+            self.spare,
+        )
+        return seen
 
-    def has_nearly(self, readings: Picture) -> bool:
-        """Whether nearly all readings of a picture agree with those of one of the last new ones."""
-        count = int(np.count_nonzero(readings))
+    def _look(self, picture: Picture, newest: int) -> int:
+        """Return the same with numpy."""
+        self.row[:] = picture[::THINNING_PX, ::THINNING_PX].ravel()
+        self.spare[:] = picture[::TILE_PX, ::TILE_PX]
+        self.marks[:] = 0
+        np.add.at(self.marks, self.places.tile_of, self.row * self.places.weights)
+        count = int(np.count_nonzero(self.row))
         if count < LEAST_READINGS:
-            return False
-        most_different = count - math.ceil(OLD_SHARE * count - 1e-9)
-        compiled = FramePath.kernels
-        if compiled is not None:
-            return bool(compiled.differs_little(self.readings, readings, most_different))
-        different = (self.readings != readings) & (readings > 0)
-        return bool(np.count_nonzero(different, axis=1).min() <= most_different)
+            found = _equal(self.readings, self.row, newest)
+        else:
+            different = np.count_nonzero((self.readings != self.row) & (self.row > 0), axis=1)
+            found = NEARLY * bool(different.min() <= count - math.ceil(OLD_SHARE * count - 1e-9))
+        are_known = (self.new_share >= NEW_SHARE) & (self.marks != 0)
+        found |= PART * bool(((self.prints == self.marks) & are_known).any())
+        return READ * (count > 0) | found
 
-    def has_part(self, readings: Picture, prints: npt.NDArray[np.uint64]) -> bool:
+    def has_part(self) -> bool:
         """Whether a tile's readings are all those of an earlier picture, of tiles that are known to change."""
-        if self.compared < LEAST_COMPARED:
+        if self.compared < LEAST_COMPARED or np.count_nonzero(self.row) < LEAST_READINGS:
             return False
-        is_like = (self.prints == prints) & (self.new_share >= NEW_SHARE)
-        if not is_like.any() or np.count_nonzero(readings) < LEAST_READINGS:
-            return False
+        is_like = (self.prints == self.marks) & (self.new_share >= NEW_SHARE)
         newest_first = (self.oldest - 1 - np.arange(EARLIER_PICTURES)) % EARLIER_PICTURES
         found = is_like[newest_first]
         return any(
@@ -165,39 +232,36 @@ class _Depths:
 
     def _tile_agrees(self, slot: int, tile: int) -> bool:
         rows, columns = self.places.tiles[tile]
-        now, before = self.newest[rows, columns], self.tiles[slot, rows, columns]
+        now, before = self.spare[rows, columns], self.tiles[slot][rows, columns]
         is_read = now > 0
         count = np.count_nonzero(is_read)
         return bool(count >= LEAST_OF_A_TILE and np.count_nonzero((now == before) & is_read) >= OLD_TILE_SHARE * count)
 
-    def keep(self, readings: Picture, prints: npt.NDArray[np.uint64]) -> None:
+    def keep(self) -> None:
         """Keep the newest picture in place of the oldest; note which of its tiles are new against the one before."""
-        before = (self.oldest - 1) % EARLIER_PICTURES
+        slot, before = self.oldest, (self.oldest - 1) % EARLIER_PICTURES
         self.compared += 1
         if self.compared > 0:
-            is_new = self.prints[before] != prints
-            if not is_new.all():
-                for tile in np.flatnonzero(~is_new):
-                    is_new[tile] = not self._tile_agrees(before, int(tile))
-            self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (is_new - self.new_share)
-        self.readings[self.oldest] = readings
-        self.prints[self.oldest] = prints
-        self.tiles[self.oldest] = self.newest
-        self.oldest = (self.oldest + 1) % EARLIER_PICTURES
+            are_new = self.prints[before] != self.marks
+            if not are_new.all():
+                for tile in np.flatnonzero(~are_new):
+                    are_new[tile] = not self._tile_agrees(before, int(tile))
+            self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (are_new - self.new_share)
+        self.readings[slot] = self.row
+        self.prints[slot] = self.marks
+        self.tiles[slot], self.spare = self.spare, self.tiles[slot]
+        self.oldest = (slot + 1) % EARLIER_PICTURES
 
 
 class _Places(NamedTuple):
     """Where the tiles of pictures of one size are.
 
-    ``order`` brings the readings of the thinned view tile by tile, ``firsts`` is where each tile begins in it, and
-    ``weights`` are what a fingerprint weighs each reading with; ``tiles`` are the rows and columns of each in the view
-    of every fourth row and column.
+    ``tile_of`` is the tile of each reading of the thinned view, ``weights`` are what its fingerprint weighs each with;
+    ``tiles`` are the rows and columns of each in the view of every fourth row and column.
     """
 
-    shape: tuple[int, ...]
-    order: npt.NDArray[np.intp]
-    firsts: npt.NDArray[np.intp]
-    weights: npt.NDArray[np.uint64]
+    tile_of: npt.NDArray[np.intp]
+    weights: npt.NDArray[np.int64]
     tiles: tuple[tuple[slice, slice], ...]
 
     @staticmethod
@@ -206,20 +270,13 @@ class _Places(NamedTuple):
         rows, columns = (np.arange(0, size, THINNING_PX) for size in shape[:2])
         row_tile, column_tile = rows * TILE_ROWS // shape[0], columns * TILE_COLUMNS // shape[1]
         number = (row_tile[:, None] * TILE_COLUMNS + column_tile).ravel()
-        order = np.argsort(number, kind="stable")
-        counts = np.bincount(number, minlength=TILE_ROWS * TILE_COLUMNS)
-        firsts = np.minimum(np.cumsum(counts) - counts, number.size - 1)
-        weights = np.random.default_rng(1).integers(0, 2**64, number.size, dtype=np.uint64) | np.uint64(1)
+        weights = np.random.default_rng(1).integers(-(2**63), 2**63, number.size, dtype=np.int64) | 1
         row_slices, column_slices = (
             [_slice(size, step, steps) for step in range(steps)]
             for size, steps in zip(shape[:2], (TILE_ROWS, TILE_COLUMNS), strict=True)
         )
         tiles = tuple((row, column) for row in row_slices for column in column_slices)
-        return _Places(shape, order, firsts, weights, tiles)
-
-    def prints(self, readings: Picture) -> npt.NDArray[np.uint64]:
-        """Return a fingerprint of each tile's thinned readings; equal ones are looked at again, reading by reading."""
-        return np.add.reduceat(readings[self.order] * self.weights, self.firsts)
+        return _Places(number, weights, tiles)
 
 
 def _slice(size: int, step: int, steps: int) -> slice:

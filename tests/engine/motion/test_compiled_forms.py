@@ -28,7 +28,16 @@ from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_ba
 from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.roi import align, cut_out, roi_nodes
 from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
-from engine.motion.tracking.repeated_pictures import _Depths, _Places
+from engine.motion.tracking.repeated_pictures import (
+    LAST,
+    LEAST_READINGS,
+    NEARLY,
+    PART,
+    READ,
+    SAME,
+    _Colors,
+    _Depths,
+)
 from engine.motion.tracking.surface_continuity import _largest_difference, marker_points_mm
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
@@ -202,16 +211,44 @@ def test_a_picture_is_gray_alike(seed, coloured, difference):
 
 
 @settings(max_examples=100, deadline=None)
-@given(SEEDS, st.floats(0.0, 0.3), st.floats(0.0, 0.6), st.integers(0, 95))
+@given(SEEDS, st.floats(0.0, 0.3), st.sampled_from([0.0, 0.3, 0.6, 0.85, 1.0]), st.integers(0, 95))
 def test_a_picture_that_is_nearly_old_is_found_alike(seed, changed, holes, slot):
     rng = np.random.default_rng(seed)
-    depths = _Depths(places=_Places.of((480, 640)))
+    depths = _Depths.of((480, 640))
     depths.readings[:] = rng.integers(700, 704, depths.readings.shape)
     readings = np.where(rng.random(1200) < changed, 800, depths.readings[slot]).astype(np.uint16)
     readings[rng.random(1200) < holes] = 0
-    found, expected = both(depths.has_nearly, readings)
+    depths.readings[slot][readings == 0] = 0
+    depths.new_share[:] = rng.random(16)
+    picture = np.kron(readings.reshape(30, 40), np.ones((16, 16), dtype=np.uint16))
+    depths.look(picture)
+    depths.prints[slot, :8] = depths.marks[:8]
+    found, expected = both(depths.look, picture)
+    count = np.count_nonzero(readings)
     agreeing = np.count_nonzero((readings == depths.readings[slot]) & (readings > 0))
-    assert found == expected == (agreeing >= 0.88 * np.count_nonzero(readings))
+    assert found == expected
+    assert bool(found & READ) == (count > 0)
+    if count >= LEAST_READINGS:
+        assert bool(found & NEARLY) == (agreeing >= 0.88 * count)
+    else:
+        assert bool(found & SAME) == (agreeing == count)
+        assert bool(found & LAST) == (agreeing == count and slot == 95)
+    assert bool(found & PART) is bool(((depths.new_share >= 0.9) & (depths.marks != 0))[:8].any())
+
+
+@settings(max_examples=50, deadline=None)
+@given(SEEDS, st.integers(0, 95), st.integers(0, 2), st.booleans())
+def test_a_colour_picture_that_was_seen_is_found_alike(seed, slot, changed, is_dark):
+    rng = np.random.default_rng(seed)
+    colors = _Colors.of((97, 130, 3))
+    colors.views[:] = rng.integers(1, 255, colors.views.shape)
+    picture = np.zeros((97, 130, 3), dtype=np.uint8)
+    if not is_dark:
+        picture[::16, ::16] = colors.views[slot].reshape(7, 9, 3)
+        picture[16 * np.arange(changed), 16, 1] += np.uint8(1)
+    found, expected = both(colors.look, picture)
+    is_same = not is_dark and changed == 0
+    assert found == expected == READ * (not is_dark) | SAME * is_same | LAST * (is_same and slot == 95)
 
 
 @settings(max_examples=40, deadline=None)
