@@ -24,7 +24,7 @@ KEPT_BYTES = 1 << 26
 OWN_PAGES_BYTES = 1 << 21
 """Smaller arrays than this, a frame's pictures among them, come from the heap; larger ones have pages of their own."""
 # <malloc.h>
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 _PR_SET_PDEATHSIG = 1
 
 
@@ -42,6 +42,17 @@ def keep_freed_memory() -> None:
     if set_option is not None:
         set_option(_M_TRIM_THRESHOLD, KEPT_BYTES)
         set_option(_M_MMAP_THRESHOLD, OWN_PAGES_BYTES)
+
+
+def share_one_heap() -> None:
+    """Let all threads take memory from one heap, in the whole process, from now on (glibc only).
+
+    Otherwise each of a service's twenty threads has its own, and what one frees the others cannot use: under load these
+    grow by twenty megabytes an hour with nothing in them.
+    """
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        set_option(_M_ARENA_MAX, 1)
 
 
 def give_freed_memory_back() -> None:

@@ -48,9 +48,11 @@ def serve(
     if os.environ.get("TIDEGATE_LOG_FORMAT") != "json":  # the next line, after a second of imports, is in any format
         say(f"Tidegate {__version__} starting")
     from engine.core.errors import TidegateError
+    from engine.core.native_process import share_one_heap
     from service.core.late_modules import load_when_used
     from service.core.logging.nonblocking import flush_log
 
+    share_one_heap()
     load_when_used(*LATE_LIBRARIES)
     from service.core.settings.settings import SettingsError, load_settings
     from service.engine_host.beam_lines import alone_at_targets

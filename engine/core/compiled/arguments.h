@@ -66,6 +66,7 @@ PyObject *map_points(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *node_surface(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *mesh_volume(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *seen_shares(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *median_square(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *largest_mean(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *marker_places(PyObject *module, PyObject *const *args, Py_ssize_t count);

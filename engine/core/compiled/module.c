@@ -21,6 +21,7 @@ static PyMethodDef methods[] = {
     FUNCTION(least_squares),
     FUNCTION(cell_means),
     FUNCTION(mean_cells),
+    FUNCTION(median_square),
     FUNCTION(largest_mean),
     FUNCTION(marker_places),
     FUNCTION(corner_medians),

@@ -125,21 +125,43 @@ static int fit_plane(const Plane *plane, const double *change, double *misfit, d
     return FITTED;
 }
 
-/* How the picked blocks have moved, as a plane, at some points [mm]. Only these blocks are read. False with too few of
- * them, None where the numpy form has to judge. */
+/* The median change of a layer's blocks; NaN where too few of them changed by less than a limit. */
+static double layer_change(const double *blocks, const int64_t *places, const double *before, Py_ssize_t n,
+                           const Plane *plane, double *inliers)
+{
+    Py_ssize_t count = 0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        double change = blocks[places[i]] - before[i];
+        if (change >= -plane->inlier_mm && change < plane->inlier_mm) /* NaN is none */
+            inliers[count++] = change;
+    }
+    return count && (double)count >= plane->least_inliers * (double)n ? select_kth(inliers, count, count / 2) : (double)NAN;
+}
+
+static int are_places(const Py_buffer *view, Py_ssize_t end)
+{
+    const int64_t *at = view->buf;
+    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
+        if (at[i] < 0 || at[i] >= end)
+            return 0;
+    return 1;
+}
+
+/* How the picked blocks have moved, as a plane, at some points, and how a layer has moved as a whole [mm]. False with too
+ * few blocks for the plane, None where the numpy form has to judge. */
 PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
     if (!counted(count, 12, "scene_movement"))
         return NULL;
     Arrays arrays = {0};
-    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
-    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
-    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
-    Py_buffer *is_picked = array_of(&arrays, args[3], "is_picked", '?', 2);
-    Py_buffer *before = array_of(&arrays, args[4], "picked_mm", 'd', 1);
-    Py_buffer *terms = array_of(&arrays, args[5], "terms", 'd', 2);
-    Py_buffer *weights = array_of(&arrays, args[6], "weights", 'd', 1);
+    Py_buffer *blocks = array_of(&arrays, args[0], "blocks_mm", 'd', 1);
+    Py_buffer *picked = array_of(&arrays, args[1], "picked", 'q', 1);
+    Py_buffer *before = array_of(&arrays, args[2], "picked_mm", 'd', 1);
+    Py_buffer *terms = array_of(&arrays, args[3], "terms", 'd', 2);
+    Py_buffer *weights = array_of(&arrays, args[4], "weights", 'd', 1);
+    Py_buffer *layer = array_of(&arrays, args[5], "layer", 'q', 1);
+    Py_buffer *layer_before = array_of(&arrays, args[6], "layer_mm", 'd', 1);
     double inlier_mm = number_of(&arrays, args[7], "inlier_mm");
     double least_inliers = number_of(&arrays, args[8], "least_inliers");
     Py_ssize_t rounds = whole_of(&arrays, args[9], "rounds", 1, 1000);
@@ -147,34 +169,31 @@ PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t cou
     Py_buffer *moved = output_of(&arrays, args[11], "moved_mm", 'd', 1);
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    Py_ssize_t n = before->shape[0], rows = is_picked->shape[0], columns = is_picked->shape[1], picked = 0;
-    const uint8_t *picks = is_picked->buf;
-    for (Py_ssize_t i = 0; i < rows * columns; i++)
-        picked += picks[i] != 0;
-    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
-    require(&arrays, rows == depth->shape[0] / block && columns == depth->shape[1] / block,
-            "is_picked must be one for each whole block");
-    require(&arrays, picked == n, "picked_mm must be one a picked block");
+    Py_ssize_t n = before->shape[0], of_layer = layer->shape[0];
+    require(&arrays, picked->shape[0] == n, "picked_mm must be one a picked block");
     require(&arrays, terms->shape[0] == n && terms->shape[1] == 3, "terms must be three a picked block");
     require(&arrays, weights->shape[0] == n, "weights must be one a picked block");
-    require(&arrays, points->shape[1] == 3 && moved->shape[0] == points->shape[0], "moved_mm must be one a point");
-    double *change = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * n + 1) * sizeof *change), answer[3];
+    require(&arrays, layer_before->shape[0] == of_layer, "layer_mm must be one a block of the layer");
+    require(&arrays, points->shape[1] == 3 && moved->shape[0] == points->shape[0] + 1,
+            "moved_mm must be one a point, and one of the layer");
+    if (!arrays.failed)
+        require(&arrays, are_places(picked, blocks->shape[0]) && are_places(layer, blocks->shape[0]),
+                "picked and layer must be of the blocks");
+    size_t scratch = (size_t)(3 * n + of_layer + 1);
+    double *change = arrays.failed ? NULL : PyMem_Malloc(scratch * sizeof *change), answer[3];
     if (change == NULL && !arrays.failed) {
         PyErr_NoMemory();
         arrays.failed = 1;
     }
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    Picture picture = {.depth = depth->buf, .columns = depth->shape[1], .block = block, .step = step};
-    Py_ssize_t next = 0;
-    for (Py_ssize_t row = 0; row < rows; row++)
-        for (Py_ssize_t column = 0; column < columns; column++)
-            if (picks[row * columns + column]) {
-                change[next] = block_mean(&picture, row, column) - ((const double *)before->buf)[next];
-                next++;
-            }
+    const double *block = blocks->buf;
+    for (Py_ssize_t i = 0; i < n; i++)
+        change[i] = block[((const int64_t *)picked->buf)[i]] - ((const double *)before->buf)[i];
     Plane plane = {.terms = terms->buf, .weights = weights->buf, .inlier_mm = inlier_mm,
                    .least_inliers = least_inliers, .n = n, .rounds = rounds};
+    ((double *)moved->buf)[points->shape[0]] =
+        layer_change(block, layer->buf, layer_before->buf, of_layer, &plane, change + 3 * n);
     int outcome = fit_plane(&plane, change, change + n, change + 2 * n, answer);
     PyMem_Free(change);
     if (outcome != FITTED)

@@ -670,3 +670,37 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
     Py_XDECREF(result);
     return given;
 }
+
+/* Median square of the second difference of three frames' cells; NaN where none was seen in all. */
+PyObject *median_square(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 3, "median_square"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *first = array_of(&arrays, args[0], "first_mm", 'd', 1);
+    Py_buffer *second = array_of(&arrays, args[1], "second_mm", 'd', 1);
+    Py_buffer *third = array_of(&arrays, args[2], "third_mm", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = first->shape[0], seen = 0;
+    require(&arrays, second->shape[0] == n && third->shape[0] == n, "three frames must have as many cells");
+    double *squares = arrays.failed ? NULL : PyMem_Malloc((size_t)(n + 1) * sizeof *squares);
+    if (squares == NULL && !arrays.failed) {
+        PyErr_NoMemory();
+        arrays.failed = 1;
+    }
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    for (Py_ssize_t i = 0; i < n; i++) {
+        double change = ((double *)third->buf)[i] - 2.0 * ((double *)second->buf)[i] + ((double *)first->buf)[i];
+        if (isfinite(change))
+            squares[seen++] = change * change;
+    }
+    double median = seen ? median_of(squares, seen) : (double)NAN;
+    PyMem_Free(squares);
+    PyObject *value = PyFloat_FromDouble(median);
+    PyObject *result = finish(&arrays, value == NULL ? Py_None : value);
+    Py_XDECREF(value);
+    return result;
+}

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from engine.core.compiled import FramePath
 from engine.core.frames import FloatArray
 
 WEIGHT, SOON_WEIGHT = 1.0 / 45.0, 1.0 / 6.0
@@ -50,14 +51,12 @@ class PresentNoise:
         self._cells.append(cells_mm)
         if len(self._cells) < 3:
             return
-        second = self._cells[2] - 2.0 * self._cells[1] + self._cells[0]
+        first, second, third = self._cells
         del self._cells[0]
-        squares = np.square(second[np.isfinite(second)])
-        if not len(squares):
+        median_mm2 = _median_square(first, second, third)
+        if math.isnan(median_mm2):
             return
-        lower, upper = (len(squares) - 1) // 2, len(squares) // 2
-        squares.partition((lower, upper))  # np.median makes fifteen calls of it
-        variance_mm2 = float((squares[lower] + squares[upper]) / 2) / MEDIAN_SQUARE / SECOND_DIFFERENCE
+        variance_mm2 = median_mm2 / MEDIAN_SQUARE / SECOND_DIFFERENCE
         self._frames += 1
         self._variance_mm2 += max(WEIGHT, 1.0 / self._frames) * (variance_mm2 - self._variance_mm2)
         self._soon_mm2 += max(SOON_WEIGHT, 1.0 / self._frames) * (variance_mm2 - self._soon_mm2)
@@ -80,3 +79,14 @@ class PresentNoise:
         """Return the same of the last fifth of a second: a filter in time is found before a breath goes on."""
         is_known = self._frames >= LEAST_FRAMES and trained_mm > 0.0
         return self._side_px * math.sqrt(self._soon_mm2) / trained_mm if is_known else math.nan
+
+
+def _median_square(first_mm: FloatArray, second_mm: FloatArray, third_mm: FloatArray) -> float:
+    """Return the median square of the second difference of three frames' cells [mm2]; NaN where none was seen."""
+    compiled = FramePath.kernels
+    if compiled is not None:
+        median_mm2: float = compiled.median_square(first_mm, second_mm, third_mm)
+        return median_mm2
+    change_mm = third_mm - 2.0 * second_mm + first_mm
+    squares = np.square(change_mm[np.isfinite(change_mm)])
+    return float(np.median(squares)) if len(squares) else math.nan

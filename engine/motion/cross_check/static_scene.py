@@ -6,6 +6,7 @@ of them like that of a plane. Where the couch and the floor are both seen, they 
 moves over a floor that stays is a few blocks among many.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.compiled import FramePath
-from engine.core.frames import BoolArray, DepthImage, FloatArray
+from engine.core.frames import DepthImage, FloatArray
 from engine.core.geometry import Intrinsics
 
 BLOCK_PX = 16
@@ -48,9 +49,9 @@ _INLIERS_MM = np.array([-INLIER_MM, INLIER_MM])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Reference:
-    """The picked blocks, shape (rows, columns), their depth [mm], the plane's terms, shape (blocks, 3), and weights."""
+    """The picked blocks' numbers and depth [mm], the plane's terms, shape (blocks, 3), and weights."""
 
-    is_picked: BoolArray
+    picked: npt.NDArray[np.intp]
     depth_mm: FloatArray
     terms: FloatArray
     weights: FloatArray
@@ -63,11 +64,11 @@ class _Layer(NamedTuple):
     depth_mm: FloatArray
     terms: FloatArray
 
-    def change_mm(self, blocks_mm: FloatArray) -> float | None:
-        """Return the median change of depth; None where half of the blocks are covered or uncovered."""
+    def change_mm(self, blocks_mm: FloatArray) -> float:
+        """Return the median change of depth; NaN where half of the blocks are covered or uncovered."""
         change_mm = np.sort(blocks_mm[self.places] - self.depth_mm)  # NaN comes last
         first, last = change_mm.searchsorted(_INLIERS_MM).tolist()
-        return float(change_mm[(first + last) // 2]) if last - first >= LEAST_INLIERS * len(change_mm) else None
+        return float(change_mm[(first + last) // 2]) if last - first >= LEAST_INLIERS * len(change_mm) else math.nan
 
     def movement_mm(self, blocks_mm: FloatArray) -> float | None:
         """Return the root mean square of a rigid movement: of a tilt, the median change is none."""
@@ -77,6 +78,9 @@ class _Layer(NamedTuple):
             return None
         plane, *_ = np.linalg.lstsq(self.terms[is_inlier], change_mm[is_inlier])
         return float(np.sqrt(np.mean((self.terms @ plane) ** 2)))
+
+
+_NO_LAYER = _Layer(np.empty(0, dtype=np.intp), np.empty(0), np.empty((0, 3)))
 
 
 class StaticScene:
@@ -114,27 +118,27 @@ class StaticScene:
         """
         if (depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX) != self._shape:
             return None
+        blocks_mm = _blocks_mm(depth_mm)
         if self._reference is None:
-            self._learn(_blocks_mm(depth_mm), float(points_mm[:, 2].max()), timestamp_us)
+            self._learn(blocks_mm, float(points_mm[:, 2].max()), timestamp_us)
             return None
-        moved_mm = _movement(self._reference, depth_mm, points_mm)
-        return moved_mm if self._layers is None else self._with_couch(self._layers, moved_mm, depth_mm)
+        couch = None if self._layers is None else self._layers[0]
+        moved_mm, couch_mm = _movement(self._reference, couch, blocks_mm, points_mm)
+        return moved_mm if self._layers is None else self._with_couch(self._layers[1], moved_mm, couch_mm, blocks_mm)
 
     def _with_couch(
-        self, layers: tuple[_Layer, _Layer], moved_mm: FloatArray | None, depth_mm: DepthImage
+        self, floor: _Layer, moved_mm: FloatArray | None, couch_mm: float, blocks_mm: FloatArray
     ) -> FloatArray | None:
         """Return the scene's movement, or the couch's where that is larger, and find out whether the floor moved.
 
         The couch is often seen on one side of the patient only: how far it is raised is measured, and no tilt.
         """
-        blocks_mm = _blocks_mm(depth_mm)
-        couch_mm = layers[0].change_mm(blocks_mm)
         largest_mm = 0.0 if moved_mm is None else max(map(abs, moved_mm.tolist()))
-        if couch_mm is not None and abs(couch_mm) > largest_mm:
+        if abs(couch_mm) > largest_mm:  # not of NaN
             largest_mm, moved_mm = abs(couch_mm), np.full(4, couch_mm)
         self.has_floor_moved = None
         if largest_mm >= NAMED_MM:
-            floor_mm = layers[1].movement_mm(blocks_mm)
+            floor_mm = floor.movement_mm(blocks_mm)
             self.has_floor_moved = None if floor_mm is None else floor_mm > STANDS_SHARE * largest_mm
         return moved_mm
 
@@ -157,7 +161,7 @@ class StaticScene:
             return
         depth_mm = mean_mm[is_picked]
         self._reference = _Reference(
-            is_picked=np.ascontiguousarray(is_picked.reshape(self._shape)),
+            picked=np.flatnonzero(is_picked),
             depth_mm=depth_mm,
             terms=_terms(self._rays[is_picked] * depth_mm[:, None]),
             weights=1.0 / depth_mm**4,
@@ -184,37 +188,41 @@ def _lower_end_mm(depth_mm: FloatArray) -> float | None:
     return float(ordered[LEAST_OF_LAYER - 1 + int(np.argmax(steps))])
 
 
-def _movement(reference: _Reference, depth_mm: DepthImage, points_mm: FloatArray) -> FloatArray | None:
-    """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
-    compiled = FramePath.kernels
+def _movement(
+    reference: _Reference, couch: _Layer | None, blocks_mm: FloatArray, points_mm: FloatArray
+) -> tuple[FloatArray | None, float]:
+    """Fit a plane to the blocks' change robustly; return it at the points, and the couch's median change [mm]."""
+    compiled, of_couch = FramePath.kernels, _NO_LAYER if couch is None else couch
     if compiled is not None:
-        moved_mm = np.empty(len(points_mm))
+        moved_mm = np.empty(len(points_mm) + 1)  # the couch's is the last
         is_fitted = compiled.scene_movement(
-            np.ascontiguousarray(depth_mm),
-            BLOCK_PX,
-            SAMPLE_PX,
-            reference.is_picked,
+            blocks_mm,
+            reference.picked,
             reference.depth_mm,
             reference.terms,
             reference.weights,
+            of_couch.places,
+            of_couch.depth_mm,
             INLIER_MM,
             LEAST_INLIERS,
             ROUNDS,
-            np.ascontiguousarray(points_mm, dtype=np.float64),
+            points_mm,
             moved_mm,
         )
         if is_fitted is not None:
-            return moved_mm if is_fitted else None
-    plane = _fit_plane(reference, _blocks_mm(depth_mm))
+            return moved_mm[:-1] if is_fitted else None, moved_mm[-1].item()
+    of_couch_mm = math.nan if couch is None else couch.change_mm(blocks_mm)
+    plane = _fit_plane(reference, blocks_mm)
     if plane is None:
-        return None
+        return None, of_couch_mm
     middle, across, along = plane.tolist()
-    return np.array([middle + across * x / 1000.0 + along * y / 1000.0 for x, y, _ in points_mm.tolist()])
+    at_points = [middle + across * x / 1000.0 + along * y / 1000.0 for x, y, _ in points_mm.tolist()]
+    return np.array(at_points), of_couch_mm
 
 
 def _fit_plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
     """Fit with numpy."""
-    change = blocks_mm[reference.is_picked.ravel()] - reference.depth_mm
+    change = blocks_mm[reference.picked] - reference.depth_mm
     is_inlier = np.abs(change) <= INLIER_MM  # NaN is none
     plane: FloatArray = np.zeros(3)
     for _ in range(ROUNDS):

@@ -86,9 +86,16 @@ CALLS = {
     ],
     "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), np.zeros((12, 2), F32), 4, 2, 0.03, 3, 2, 0.015],
     "scene_movement": [
-        *(np.ones((32, 48), np.uint16), 16, 4, np.array([[True] * 3, [True, True, False]]), np.ones(5)),
-        *(np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3, np.ones((4, 3)), np.zeros(4)),
+        *(np.ones(6), np.arange(5), np.ones(5), np.ones((5, 3)), np.ones(5), np.arange(3), np.ones(3)),
+        *(15.0, 0.5, 3, np.ones((4, 3)), np.zeros(5)),
     ],
+    "look_at_depth": [
+        *(np.ones((9, 12), np.uint16), 4, 2, np.arange(9) % 4, np.arange(9), np.ones((5, 9), np.uint16)),
+        *(np.zeros((5, 4), np.int64), np.ones(4), 4, 3, 0.88, 0.9),
+        *(np.zeros(9, np.uint16), np.zeros(4, np.int64), np.zeros((5, 6), np.uint16)),
+    ],
+    "look_at_color": [np.ones((9, 12, 3), np.uint8), 4, np.ones((5, 27), np.uint8), 4, np.zeros(27, np.uint8)],
+    "median_square": [np.ones(7), np.ones(7), np.ones(7)],
     "mean_cells": [[np.ones(6), np.ones(6)], np.zeros(6)],
     "largest_mean": [[np.ones(4), np.ones(4)]],
     "marker_places": [np.ones(7), 90.0, np.ones((4, 3)), np.eye(3), np.zeros(3), np.zeros((4, 3)), np.zeros((4, 3))],

@@ -45,3 +45,36 @@ print(int(before - resident_mb()))
 def test_what_lies_free_between_pieces_that_stay_is_given_back():
     ran = subprocess.run([sys.executable, "-c", GIVING_BACK], capture_output=True, text=True, check=True)
     assert int(ran.stdout) > 60  # of 108 MB freed
+
+
+HEAPS = """
+import ctypes, re, sys, threading
+import numpy as np
+from engine.core.native_process import share_one_heap
+if sys.argv[1] == "one":
+    share_one_heap()
+begin = threading.Barrier(8)
+def work():
+    begin.wait()
+    kept = [np.ones(50_000, np.uint8) for _ in range(50)]
+    begin.wait()
+threads = [threading.Thread(target=work) for _ in range(8)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+libc = ctypes.CDLL(None)
+libc.fopen.restype = ctypes.c_void_p
+file = libc.fopen(sys.argv[2].encode(), b"w")
+libc.malloc_info(0, ctypes.c_void_p(file))
+libc.fclose(ctypes.c_void_p(file))
+print(len(re.findall("<heap nr", open(sys.argv[2]).read())))
+"""
+
+
+def heaps_of_eight_threads(how, path):
+    ran = subprocess.run([sys.executable, "-c", HEAPS, how, str(path)], capture_output=True, text=True, check=True)
+    return int(ran.stdout)
+
+
+def test_threads_share_one_heap_where_they_are_told_to(tmp_path):
+    assert heaps_of_eight_threads("one", tmp_path / "one.xml") == 1
+    assert heaps_of_eight_threads("their own", tmp_path / "own.xml") > 1
