@@ -22,17 +22,22 @@ class _LateModule(ModuleType):
         """Load the module, and return one of its names."""
         with _loading:
             spec = self.__spec__
-            if spec is None or spec.loader is None or self.__dict__.get("__is_late__") is not True:
-                msg = f"module {self.__name__!r} has no attribute {name!r}"
-                raise AttributeError(msg)
-            self.__dict__["__is_late__"] = False
-            if spec.submodule_search_locations is not None:
-                self.__path__ = spec.submodule_search_locations
-            spec.loader.exec_module(self)
-            for work in _afterwards.pop(self.__name__, ()):
-                work()
-        found: object = getattr(self, name)
-        return found
+            if self.__dict__["__is_late__"] and spec is not None and spec.loader is not None:
+                self.__dict__["__is_late__"] = False
+                if spec.submodule_search_locations is not None:
+                    self.__path__ = spec.submodule_search_locations
+                try:
+                    spec.loader.exec_module(self)
+                except BaseException:
+                    self.__dict__["__is_late__"] = True
+                    raise
+                for work in _afterwards.pop(self.__name__, ()):
+                    work()
+            if name in self.__dict__:  # also where another thread has just loaded it
+                found: object = self.__dict__[name]
+                return found
+        msg = f"module {self.__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
 
 
 def load_when_used(*names: str) -> None:

@@ -49,12 +49,24 @@ def test_a_line_is_printed_exactly_as_it_is(text, capsys):
     [
         (
             "service.engine_host.process.engine_server",
-            ("fastapi", "sqlalchemy", "pyarrow", "matplotlib", "scipy", "psycopg", "pydicom", "rich", "alembic"),
+            ("fastapi", "sqlalchemy", "pyarrow.lib", "matplotlib", "scipy", "psycopg", "pydicom", "rich", "alembic"),
         ),
-        ("service.web.app", ("matplotlib", "pyarrow.compute", "scipy", "psycopg", "pydicom", "rich", "lab")),
+        (
+            "service.web.app",
+            (
+                *("matplotlib", "pyarrow.lib", "pyarrow.compute", "scipy", "psycopg", "pydicom", "rich", "lab"),
+                *("alembic", "authlib", "joserfc", "httpx2", "cryptography"),
+            ),
+        ),
     ],
 )
 def test_each_process_of_the_service_loads_only_what_it_uses(module, unneeded):
-    program = f"import sys, {module}; print([name for name in {unneeded} if name in sys.modules])"
+    program = (
+        "import sys; from service.core.late_modules import load_when_used;"
+        "from service.cli.serve import LATE_LIBRARIES;"
+        f"load_when_used(*LATE_LIBRARIES); import {module};"
+        f"print([name for name in {unneeded} if name in sys.modules],"
+        "[name for name in LATE_LIBRARIES if not sys.modules[name].__is_late__])"
+    )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ran.stdout.strip() == "[]"
+    assert ran.stdout.strip() == "[] []"
