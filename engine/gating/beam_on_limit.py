@@ -25,10 +25,10 @@ class Stay(NamedTuple):
 
     def bounded(self, allowed_s: float | None) -> "Stay":
         """Return the stay with the lesser of what was and is allowed: in apnoea the rate is no longer known."""
-        if allowed_s is None:
+        allowed_ns = None if allowed_s is None else int(allowed_s * NS_PER_S)
+        if allowed_ns is None or (self.allowed_ns is not None and self.allowed_ns <= allowed_ns):
             return self
-        allowed_ns = int(allowed_s * NS_PER_S)
-        return self._replace(allowed_ns=allowed_ns if self.allowed_ns is None else min(allowed_ns, self.allowed_ns))
+        return self._replace(allowed_ns=allowed_ns)
 
     def begun_at(self, from_ns: int) -> "Stay":
         """Return the stay of the next breath, which begins at ``from_ns`` of this one's beam-on time.

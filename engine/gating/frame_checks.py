@@ -92,9 +92,13 @@ class LastFrame:
         return self.delivery.least_lag_ns
 
 
-def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
-    """Return why ``frame`` must not be used, faults before holds; None where every check passes."""
-    delivery = _delivery(last, frame)
+def check_frame(
+    last: LastFrame | None, frame: Measurement, delivery: Delivery, now_ns: int, limits: GateLimits
+) -> Verdict | None:
+    """Return why ``frame`` must not be used, faults before holds; None where every check passes.
+
+    ``delivery`` is `delivery_with` of the frame.
+    """
     verdict = (
         _refuse_disorder(last, frame, now_ns)
         or _refuse_clock_jump(last, frame, limits)
@@ -127,8 +131,8 @@ def unusable(reason: HoldReason, detail: str) -> Verdict:
     return Verdict(EventKind.UNUSABLE, reason, detail)
 
 
-def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow) -> LastFrame:
-    """Return the summary with which the next frame is compared."""
+def last_frame(before: LastFrame | None, frame: Measurement, delivery: Delivery, window: GateWindow) -> LastFrame:
+    """Return the summary with which the next frame is compared; ``delivery`` is `delivery_with` of the frame."""
     signals_mm = () if frame.motion is None else _jump_signals_mm(frame.motion, window)
     is_measured = bool(signals_mm) and all(map(math.isfinite, signals_mm))
     earlier_mm = None if before is None else before.signals_mm
@@ -137,7 +141,7 @@ def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow)
         index=frame.frame_index,
         timestamp_us=frame.timestamp_us,
         received_ns=frame.received_ns,
-        delivery=_delivery(before, frame),
+        delivery=delivery,
         signals_mm=signals_mm if is_measured else earlier_mm,
         signal_age_frames=0 if is_measured else age,
     )
@@ -162,7 +166,8 @@ def too_slow(latency_ms: float, limits: GateLimits) -> str:
     )
 
 
-def _delivery(before: LastFrame | None, frame: Measurement) -> Delivery:
+def delivery_with(before: LastFrame | None, frame: Measurement) -> Delivery:
+    """Return what the frames so far show about their delivery, this one included."""
     if before is None or frame.timestamp_us <= before.timestamp_us:
         return followed_delivery(None, frame, 0)  # a first frame, or a device that restarted its clock
     return followed_delivery(before.delivery, frame, frame.received_ns - before.received_ns)

@@ -17,11 +17,13 @@ from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.replacing import replace
 from engine.core.sentences import say
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
+from engine.gating.delivery import Delivery
 from engine.gating.frame_checks import (
     EventKind,
     LastFrame,
     Verdict,
     check_frame,
+    delivery_with,
     fault,
     last_frame,
     refuse_irregular,
@@ -170,26 +172,31 @@ class Gate:
 
 def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> Gate:
     """Return the gate after ``event``; read ``now_ns`` after the event was made."""
-    verdict = _judge(gate, event, now_ns, limits)
+    delivery = delivery_with(gate.last, event) if isinstance(event, Measurement) else None
+    verdict = _judge(gate, event, delivery, now_ns, limits)
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
         moved = replace(moved, conditions=armed_again(moved.conditions))
     moved = _name_operator(gate, moved, event)
-    if not isinstance(event, Measurement):
+    if not isinstance(event, Measurement) or delivery is None:
         return moved
-    return _remember(gate, _follow_stay(moved, verdict, event, now_ns, limits), event, limits)
+    last = last_frame(gate.last, event, delivery, limits.window)
+    return _remember(gate, _follow_stay(moved, verdict, event, now_ns, limits), event, last)
 
 
 def _follow_stay(moved: Gate, verdict: Verdict, frame: Measurement, now_ns: int, limits: GateLimits) -> Gate:
     """Start a new stay where the patient has breathed, and note where the signal is with the beam on."""
     stay = moved.stay if verdict.stay_from_ns is None else moved.stay.begun_at(verdict.stay_from_ns)
-    moved = replace(moved, stay=stay.bounded(allowed_on_s(limits.window, frame.breaths, limits)))
+    stay = stay.bounded(allowed_on_s(limits.window, frame.breaths, limits))
+    if stay is not moved.stay:
+        moved = replace(moved, stay=stay)
     if verdict.conditions is None or frame.motion is None:
         return moved
     on_ns = moved.stay.on_ns + _on_ns(moved, now_ns, limits)
     is_on = moved.state is GateState.BEAM_ON
     seen = _seen_by_window(frame, frame.motion, limits)
-    return replace(moved, conditions=permitted(limits.window, seen, moved.conditions, on_ns=on_ns, is_on=is_on))
+    conditions = permitted(limits.window, seen, moved.conditions, on_ns=on_ns, is_on=is_on)
+    return moved if conditions is moved.conditions else replace(moved, conditions=conditions)
 
 
 def _seen_by_window(frame: Measurement, motion: Motion, limits: GateLimits) -> WindowInput:
@@ -271,9 +278,8 @@ def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReas
     return verdict.reason or HoldReason.DWELL, verdict.detail
 
 
-def _remember(before: Gate, moved: Gate, frame: Measurement, limits: GateLimits) -> Gate:
+def _remember(before: Gate, moved: Gate, frame: Measurement, last: LastFrame) -> Gate:
     """Count the run of good frames, and store what the next frame is compared with."""
-    last = last_frame(before.last, frame, limits.window)
     if not moved.is_inside:
         return replace(moved, last=last)
     if before.inside_since_ns is None or before.inside_since_us is None:
@@ -283,10 +289,10 @@ def _remember(before: Gate, moved: Gate, frame: Measurement, limits: GateLimits)
     return replace(moved, last=last, good_frames=frames, inside_since_ns=since_ns, inside_since_us=since_us)
 
 
-def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdict:
+def _judge(gate: Gate, event: object, delivery: Delivery | None, now_ns: int, limits: GateLimits) -> Verdict:
+    if isinstance(event, Measurement) and delivery is not None:
+        return _judge_frame(gate, event, delivery, now_ns, limits)
     match event:
-        case Measurement():
-            return _judge_frame(gate, event, now_ns, limits)
         case Silence():
             return _judge_silence(gate, event, now_ns, limits)
         case Interruption():
@@ -312,8 +318,8 @@ def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) 
     return Verdict(EventKind.UNUSABLE, HoldReason.FRAME_MISSING, detail)
 
 
-def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict:
-    verdict = check_frame(gate.last, frame, now_ns, limits) or _refuse_lapsed(gate, now_ns, limits)
+def _judge_frame(gate: Gate, frame: Measurement, delivery: Delivery, now_ns: int, limits: GateLimits) -> Verdict:
+    verdict = check_frame(gate.last, frame, delivery, now_ns, limits) or _refuse_lapsed(gate, now_ns, limits)
     if verdict is not None:
         return verdict
     if frame.motion is None:  # unreachable: a frame without motion does not pass the checks
@@ -346,7 +352,7 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
         on_ns -= stay_from_ns
         found = found._replace(states=begun(found.states))
     verdict = _judge_inside(gate, frame, found, on_ns, now_ns, limits)
-    return verdict._replace(stay_from_ns=stay_from_ns)
+    return verdict if stay_from_ns is None else verdict._replace(stay_from_ns=stay_from_ns)
 
 
 def _judge_inside(

@@ -109,6 +109,20 @@ static int refine(const Stencil *stencil, const double *start, int steps, double
     return 0;
 }
 
+typedef struct {
+    double diameter_px, tolerance, min_aspect, min_fill, max_fill;
+} Disc;
+
+/* Whether moments are those of a disc of about this diameter, seen on a slope; `_is_disc` is the numpy form. */
+static int is_disc(const double *found, const Disc *disc)
+{
+    double mean = 0.5 * (found[3] + found[5]), half_spread = hypot(0.5 * (found[3] - found[5]), found[4]);
+    double minor = 4.0 * sqrt(fmax(mean - half_spread, 1e-9)), major = 4.0 * sqrt(fmax(mean + half_spread, 1e-9));
+    double ratio = major / disc->diameter_px, fill = found[0] / (0.25 * 3.141592653589793 * minor * major);
+    return ratio >= 1.0 / disc->tolerance && ratio <= disc->tolerance && !(minor / major < disc->min_aspect) &&
+           fill >= disc->min_fill && fill <= disc->max_fill;
+}
+
 static int are_indices(const Py_buffer *view, Py_ssize_t end)
 {
     const int64_t *at = view->buf;
@@ -121,7 +135,7 @@ static int are_indices(const Py_buffer *view, Py_ssize_t end)
 PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 13, "refine_markers"))
+    if (!counted(count, 18, "refine_markers"))
         return NULL;
     Arrays arrays = {0};
     Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
@@ -135,8 +149,15 @@ PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t cou
     double max_bright = number_of(&arrays, args[8], "max_bright");
     Py_ssize_t steps = whole_of(&arrays, args[9], "steps", 0, 1000);
     double converged_px = number_of(&arrays, args[10], "converged_px");
-    Py_buffer *found = output_of(&arrays, args[11], "found", 'd', 2);
-    Py_buffer *is_found = output_of(&arrays, args[12], "is_found", '?', 1);
+    Disc shape = {
+        .diameter_px = number_of(&arrays, args[11], "diameter_px"),
+        .tolerance = number_of(&arrays, args[12], "diameter_tolerance"),
+        .min_aspect = number_of(&arrays, args[13], "min_aspect"),
+        .min_fill = number_of(&arrays, args[14], "min_fill"),
+        .max_fill = number_of(&arrays, args[15], "max_fill"),
+    };
+    Py_buffer *found = output_of(&arrays, args[16], "found", 'd', 2);
+    Py_buffer *is_found = output_of(&arrays, args[17], "is_found", '?', 1);
     if (arrays.failed)
         return finish(&arrays, Py_None);
     Py_ssize_t side = 2 * reach + 1;
@@ -161,9 +182,11 @@ PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t cou
         .within = moments->buf, .min_contrast = (float)min_contrast,
         .max_background_share = (float)max_background_share, .max_bright = max_bright,
     };
-    for (Py_ssize_t i = 0; i < starts->shape[0]; i++)
-        ((uint8_t *)is_found->buf)[i] = (uint8_t)refine(&stencil, (const double *)starts->buf + 2 * i, (int)steps,
-                                                        converged_px, patch, (double *)found->buf + 8 * i);
+    for (Py_ssize_t i = 0; i < starts->shape[0]; i++) {
+        double *moment = (double *)found->buf + 8 * i;
+        int is_sticker = refine(&stencil, (const double *)starts->buf + 2 * i, (int)steps, converged_px, patch, moment);
+        ((uint8_t *)is_found->buf)[i] = (uint8_t)(is_sticker && is_disc(moment, &shape));
+    }
     PyMem_Free(patch);
     return finish(&arrays, Py_None);
 }

@@ -639,7 +639,7 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
     double block_limit = number_of(&arrays, args[8], "block_limit");
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    Py_ssize_t n = before->shape[0], rows = n / columns, changed = 0;
+    Py_ssize_t n = before->shape[0], rows = n / columns, changed = 0, colored = 0, dark = 0;
     require(&arrays, n <= MOST_CELLS && n % columns == 0 && now->shape[0] == n, "cells must be of whole rows");
     require(&arrays, before->shape[1] == 2 && now->shape[1] == 2, "colours must be pairs");
     require(&arrays, newest->shape[0] == n && newest->shape[1] == 2, "newest must be one a cell");
@@ -654,6 +654,9 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
     }
     int is_any = 0;
     for (Py_ssize_t i = 0; i < n; i++) {
+        int had_color = isfinite(then[2 * i]), has_color = isfinite(((const float *)now->buf)[2 * i]);
+        colored += had_color && has_color;
+        dark += had_color && !has_color;
         float red = fabsf(present[2 * i] - then[2 * i]), green = fabsf(present[2 * i + 1] - then[2 * i + 1]);
         other[i] = (red > most || green > most) && red == red && green == green;
         is_any |= other[i];
@@ -665,7 +668,7 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
         for (Py_ssize_t i = 0; i < n; i++)
             changed += opened[i];
     }
-    PyObject *result = arrays.failed ? NULL : PyLong_FromSsize_t(changed);
+    PyObject *result = arrays.failed ? NULL : Py_BuildValue("nnn", changed, colored, dark);
     PyObject *given = finish(&arrays, result == NULL ? Py_None : result);
     Py_XDECREF(result);
     return given;

@@ -208,15 +208,17 @@ def followed(
 def permitted(
     window: GateWindow, frame_input: WindowInput, states: tuple[ConditionState, ...], *, on_ns: int, is_on: bool
 ) -> tuple[ConditionState, ...]:
-    """Return the states after the decision on a frame: with the beam on, or a breath held, that is the place."""
-    return tuple(
-        [
-            replace(state, trail=state.trail.permitted(leaf.signal_now(frame_input), on_ns))
-            if is_on or state.stage is HoldStage.HELD
-            else state
-            for leaf, state in zip(window.leaves, states, strict=True)
-        ]
-    )
+    """Return the states after the decision on a frame: with the beam on, or a breath held, that is the place.
+
+    The same tuple where nothing has changed.
+    """
+    after = list(states)
+    for at, (leaf, state) in enumerate(zip(window.leaves, states, strict=True)):
+        if is_on or state.stage is HoldStage.HELD:
+            trail = state.trail.permitted(leaf.signal_now(frame_input), on_ns)
+            after[at] = state if trail is state.trail else replace(state, trail=trail)
+    is_changed = True in [one is not state for one, state in zip(after, states, strict=True)]
+    return tuple(after) if is_changed else states
 
 
 def breathed_from_ns(window: GateWindow, states: tuple[ConditionState, ...], on_ns: int) -> int | None:

@@ -73,16 +73,6 @@ def brightness_of(color: ColorImage, markers_px: FloatArray) -> Brightness:
     return Brightness(cells, float(samples.sum(axis=1, dtype=np.float64).mean()) if len(samples) else 0.0)
 
 
-def colored_share(before: Chroma, now: Chroma) -> float:
-    """Return the share of the region that has a colour, now and before, 0 to 1: the rest cannot be compared."""
-    return float(np.count_nonzero(np.isfinite(before[:, 0]) & np.isfinite(now[:, 0]))) / len(before)
-
-
-def dark_cells(before: Chroma, now: Chroma) -> int:
-    """Return the number of cells that had a colour and are too dark for one now."""
-    return int(np.count_nonzero(np.isnan(now[:, 0]) & np.isfinite(before[:, 0])))
-
-
 def darkened_share(before: Chroma, now: Chroma, was: Brightness, is_now: Brightness) -> float:
     """Return the share of the region that became dark while its surroundings stayed brighter, 0 to 1."""
     usual = was.cells * (is_now.around / was.around if was.around > 0.0 else 1.0)
@@ -130,15 +120,33 @@ def _chroma_of(color: ColorImage, corners_px: FloatArray) -> Chroma:
     return np.asarray(_shares(np.asarray(cells, dtype=np.uint8)) - balance, dtype=np.float32)
 
 
-def changed_share(before: Chroma, now: Chroma, newest: Chroma) -> float:
-    """Return the share of the region that has another colour than before, 0 to 1.
+class ColorChange(NamedTuple):
+    """What has become of the region's colour.
 
-    Lines are left out: a positioning laser that wanders over the skin is no object. ``newest`` takes the present
-    colour; a cell that is dark now keeps the colour it was last seen in.
+    Attributes
+    ----------
+    changed_share
+        Share of the region that has another colour than before, 0 to 1; lines are left out, since a positioning laser
+        that wanders over the skin is no object.
+    colored_share
+        Share that has a colour, now and before: the rest cannot be compared.
+    dark_cells
+        Number of cells that had a colour and are too dark for one now.
+    """
+
+    changed_share: float
+    colored_share: float
+    dark_cells: int
+
+
+def color_change(before: Chroma, now: Chroma, newest: Chroma) -> ColorChange:
+    """Compare colours.
+
+    ``newest`` takes the present colour; a cell that is dark now keeps the colour it was last seen in.
     """
     compiled = FramePath.kernels
     if compiled is not None:
-        changed: int = compiled.changed_cells(
+        changed, colored, dark = compiled.changed_cells(
             before,
             now,
             newest,
@@ -149,12 +157,17 @@ def changed_share(before: Chroma, now: Chroma, newest: Chroma) -> float:
             BLOCK_COLUMNS,
             OTHER_BLOCK_COLOR,
         )
-        return changed / (CELL_ROWS * CELL_COLUMNS)
+        return ColorChange(changed / len(before), colored / len(before), dark)
+    had_color, has_color = np.isfinite(before[:, 0]), np.isfinite(now[:, 0])
     np.copyto(newest, now, where=np.isfinite(now))
     change = (newest - before).reshape(CELL_ROWS, CELL_COLUMNS, 2)
     is_changed = (np.abs(change).max(axis=2) > OTHER_COLOR) | _are_in_changed_blocks(change)
     objects = cv2.morphologyEx(is_changed.astype(np.uint8), cv2.MORPH_OPEN, _LEAST_OBJECT)
-    return float(np.count_nonzero(objects)) / objects.size
+    return ColorChange(
+        changed_share=float(np.count_nonzero(objects)) / objects.size,
+        colored_share=float(np.count_nonzero(had_color & has_color)) / len(before),
+        dark_cells=int(np.count_nonzero(had_color & ~has_color)),
+    )
 
 
 def _are_in_changed_blocks(change: Chroma) -> npt.NDArray[np.bool_]:

@@ -40,11 +40,10 @@ from engine.motion.cross_check.appearance import (
     LEAST_DARK_CELLS,
     Brightness,
     Chroma,
+    ColorChange,
     brightness_of,
-    changed_share,
     chroma_of,
-    colored_share,
-    dark_cells,
+    color_change,
     darkened_share,
 )
 from engine.motion.cross_check.cell_surface import (
@@ -245,16 +244,16 @@ class CrossCheck:
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
         moved_mm = _largest_mean_mm([one.scene_mm for one in self._recent])
         change = self._surface_change(reference, cells_mm)
-        colored = colored_share(reference.chroma, chroma)
+        color = color_change(reference.chroma, chroma, reference.newest_chroma)
         self.evidence = Evidence(
             surface=change is not None,
-            color=colored >= LEAST_COLORED,
+            color=color.colored_share >= LEAST_COLORED,
             camera=not math.isnan(moved_mm),
-            colored_share=colored,
+            colored_share=color.colored_share,
         )
         found = {
             "camera": self._camera_moved(moved_mm),
-            "colour": self._color_changed(self._changed_share(reference, chroma)),
+            "colour": self._color_changed(self._changed_share(reference, chroma, color)),
             "surface": self._surface_changed(change),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
@@ -293,12 +292,12 @@ class CrossCheck:
             return DARK
         return brightness_of(*self._newest_color)
 
-    def _changed_share(self, reference: _Reference, chroma: Chroma) -> float:
+    def _changed_share(self, reference: _Reference, chroma: Chroma, color: ColorChange) -> float:
         """Return the share of the region with another colour, or darkened while its surroundings are not."""
-        share = changed_share(reference.chroma, chroma, reference.newest_chroma)
-        if dark_cells(reference.chroma, chroma) > LEAST_DARK_CELLS:
-            share = max(share, darkened_share(reference.chroma, chroma, reference.brightness, self._brightness()))
-        return share
+        if color.dark_cells <= LEAST_DARK_CELLS:
+            return color.changed_share
+        darkened = darkened_share(reference.chroma, chroma, reference.brightness, self._brightness())
+        return max(color.changed_share, darkened)
 
     def _color_changed(self, share: float) -> Lost | None:
         if not share > self._bound("colour", OTHER_COLOR_SHARE):

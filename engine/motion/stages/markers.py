@@ -132,7 +132,8 @@ def refuse_size(color: ColorImage, search: MarkerSearch) -> Lost | None:
 
 def _find_blobs(color: ColorImage, search: MarkerSearch) -> list[_Blob]:
     candidates = _candidate_centers(_whiteness(color), search)
-    blobs = [blob for blob in _refine(color, candidates, search) if blob is not None]
+    found, is_found = _refine(color, candidates, search)
+    blobs = [_blob_of(moments, search) for moments in found[is_found].tolist()]
     return sorted(_distinct(blobs), key=lambda blob: -blob.score)[:MAX_CANDIDATES]
 
 
@@ -144,12 +145,12 @@ def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSear
     refused = refuse_size(color, search)
     if refused is not None:
         return refused
-    blobs = _refine(color, expected_px, search)
-    missing = [corner for corner, blob in zip(CORNERS, blobs, strict=True) if blob is None]
+    moments, is_found = _refine(color, expected_px, search)
+    missing = [corner for corner, is_there in zip(CORNERS, is_found.tolist(), strict=True) if not is_there]
     if missing:
         where = say("no marker is near its last position") if len(missing) == len(CORNERS) else missing_text(missing)
         return Lost(reason=LostReason.MARKER_LOST, detail=where)
-    found = np.array([blob.center_px for blob in blobs if blob is not None])
+    found = moments[:, 6:].copy()
     if not _bounds_a_region(found, search.diameter_px**2):
         return Lost(reason=LostReason.MARKER_LOST, detail=say("the tracked markers do not form a valid quadrilateral"))
     return Markers(centers_px=found)
@@ -265,8 +266,15 @@ def _stencil(radius_steps: int) -> _Stencil:
     )
 
 
-def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> list[_Blob | None]:
-    """Iterate to the centre of the sticker near each start, shape (N, 2) [px], and validate it."""
+def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> tuple[FloatArray, BoolArray]:
+    """Iterate to the centre of the sticker near each start, shape (N, 2) [px], and validate it.
+
+    Returns
+    -------
+    tuple[FloatArray, BoolArray]
+        Total, mean x, y and central second moments xx, xy, yy of each sticker, then its centre x, y [px], shape (N, 8);
+        and whether there is one.
+    """
     stencil = _stencil(round(0.5 * search.diameter_px / RADIUS_STEP_PX))
     starts_px = np.ascontiguousarray(starts_px, dtype=np.float64).reshape(-1, 2)
     compiled = FramePath.kernels
@@ -285,22 +293,24 @@ def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> l
         MAX_BRIGHT_RING * len(stencil.ring),
         MAX_STEPS,
         CONVERGED_PX,
+        search.diameter_px,
+        search.diameter_tolerance,
+        MIN_ASPECT,
+        MIN_FILL,
+        MAX_FILL,
         found,
         is_found,
     )
-    return [
-        _validate(one, search) if is_one else None
-        for one, is_one in zip(found.tolist(), is_found.tolist(), strict=True)
-    ]
+    return found, is_found
 
 
 def _refine_together(
     color: ColorImage, starts_px: FloatArray, stencil: _Stencil, search: MarkerSearch
-) -> list[_Blob | None]:
+) -> tuple[FloatArray, BoolArray]:
     """Iterate with numpy, all stickers at once."""
     centers = starts_px
     middles = np.rint(centers)
-    blobs: list[_Blob | None] = [None] * len(centers)
+    found, is_found = np.zeros((len(centers), 8)), np.zeros(len(centers), dtype=np.bool_)
     pending = np.arange(len(centers))
     for _ in range(MAX_STEPS):
         pending = pending[_is_inside(middles[pending], stencil.reach, color.shape)]
@@ -312,10 +322,11 @@ def _refine_together(
         centers = middles[pending] + moments[:, 1:3]
         has_converged = np.abs(moments[:, 1:3]).max(axis=1, initial=0.0) <= CONVERGED_PX
         for index in np.flatnonzero(has_converged):
-            blobs[pending[index]] = _validate([*moments[index].tolist(), *centers[index].tolist()], search)
+            found[pending[index]] = [*moments[index].tolist(), *centers[index].tolist()]
+            is_found[pending[index]] = _is_disc(found[pending[index]].tolist(), search)
         middles[pending] = np.rint(centers)
         pending = pending[~has_converged]
-    return blobs
+    return found, is_found
 
 
 def _is_inside(middles: FloatArray, reach: int, shape: tuple[int, ...]) -> BoolArray:
@@ -364,25 +375,28 @@ def _upper_median(values: FloatArray) -> FloatArray:
     return np.asarray(np.partition(values, half, axis=1)[:, half])
 
 
-def _validate(moments: list[float], search: MarkerSearch) -> _Blob | None:
-    """Check size and roundness by second moments: a uniform disc of diameter D has the variance D^2 / 16.
-
-    Parameters
-    ----------
-    moments
-        Total, mean x, y and central second moments xx, xy, yy of the sticker, then its centre x, y [px].
-    """
-    total, _, _, xx, xy, yy, x, y = moments
+def _axes_px(moments: list[float]) -> tuple[float, float]:
+    """Return the axes of an ellipse by its second moments: a uniform disc of diameter D has the variance D^2 / 16."""
+    _, _, _, xx, xy, yy, _, _ = moments
     mean, half_spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    minor, major = 4.0 * math.sqrt(max(mean - half_spread, 1e-9)), 4.0 * math.sqrt(max(mean + half_spread, 1e-9))
+    return 4.0 * math.sqrt(max(mean - half_spread, 1e-9)), 4.0 * math.sqrt(max(mean + half_spread, 1e-9))
+
+
+def _is_disc(moments: list[float], search: MarkerSearch) -> bool:
+    """Whether size and roundness are a sticker's."""
+    minor, major = _axes_px(moments)
     # A sticker on a slope is foreshortened across it and keeps its diameter along it.
     ratio = major / search.diameter_px
-    fill = total / (0.25 * math.pi * minor * major)  # 1 for a filled ellipse, less for a ring or a ragged patch
-    if not 1.0 / search.diameter_tolerance <= ratio <= search.diameter_tolerance:
-        return None
-    if minor / major < MIN_ASPECT or not MIN_FILL <= fill <= MAX_FILL:
-        return None
-    return _Blob(center_px=(x, y), score=1.0 - abs(math.log(ratio)), diameter_px=major)
+    fill = moments[0] / (0.25 * math.pi * minor * major)  # 1 for a filled ellipse, less for a ring or a ragged patch
+    is_round = minor / major >= MIN_ASPECT and MIN_FILL <= fill <= MAX_FILL
+    return 1.0 / search.diameter_tolerance <= ratio <= search.diameter_tolerance and is_round
+
+
+def _blob_of(moments: list[float], search: MarkerSearch) -> _Blob:
+    """Return the sticker with these moments."""
+    _, diameter_px = _axes_px(moments)
+    score = 1.0 - abs(math.log(diameter_px / search.diameter_px))
+    return _Blob(center_px=(moments[6], moments[7]), score=score, diameter_px=diameter_px)
 
 
 def _distinct(blobs: list[_Blob]) -> list[_Blob]:

@@ -109,7 +109,7 @@ CALLS = {
     "sample_chroma": [np.zeros((40, 60, 3), np.uint8), np.eye(3), 4, 16, 45.0, np.zeros((8, 2), F32)],
     "refine_markers": [
         *(np.zeros((40, 60, 3), np.uint8), np.full((2, 2), 20.0), 3, np.arange(9), np.arange(4), np.ones((49, 6), F32)),
-        *(30.0, 0.7, 1.0, 4, 0.6, np.zeros((2, 8)), np.zeros(2, bool)),
+        *(30.0, 0.7, 1.0, 4, 0.6, 9.0, 1.5, 0.5, 0.7, 1.3, np.zeros((2, 8)), np.zeros(2, bool)),
     ],
     "project": [
         *(np.ones((1, 12), F32), np.ones((4, 1), F32), np.ones((3, 2), F32), np.ones((12, 3), F32), np.ones(12, F32)),

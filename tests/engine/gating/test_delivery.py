@@ -13,9 +13,8 @@ from hypothesis import example, given, settings, strategies as st
 
 from engine.core.gate_state import HoldReason
 from engine.gating.delivery import FRESH_NS, MAX_RATE_ERROR_PPM, ClockRate, followed_rate
-from engine.gating.frame_checks import check_frame, last_frame
 from tests.support.gating.ageing import SPARSE, STEP_NS, S, watched
-from tests.support.gating.streams import LIMITS, MS, measured
+from tests.support.gating.streams import LIMITS, MS, checked, followed_frame, measured
 
 HOUR_S = 3_600.0
 PPM = 1e-6
@@ -183,20 +182,20 @@ def test_the_rate_is_the_lower_of_two_minutes_and_none_where_they_disagree(least
 
 def test_a_gap_restarts_the_estimate_of_the_rate_and_not_the_proof():
     frame = replace(measured(0), queue_empty_ns=measured(0).received_ns)
-    last = last_frame(None, frame, LIMITS.window)
+    last = followed_frame(None, frame)
     later = replace(
         frame,
         frame_index=1,
         timestamp_us=frame.timestamp_us + 2_000_000,
         received_ns=frame.received_ns + 2 * S,
     )
-    after = last_frame(last, later, LIMITS.window).delivery
+    after = followed_frame(last, later).delivery
     assert (after.rate.begun_ns, after.fresh_ns) == (later.received_ns, frame.received_ns)
 
 
 def test_a_clock_that_restarts_needs_a_fresh_frame_before_it_is_believed_again():
     frame = replace(measured(5), queue_empty_ns=measured(5).received_ns)
-    last = last_frame(None, frame, LIMITS.window)
+    last = followed_frame(None, frame)
     restarted = replace(
         frame,
         frame_index=6,
@@ -204,7 +203,7 @@ def test_a_clock_that_restarts_needs_a_fresh_frame_before_it_is_believed_again()
         received_ns=frame.received_ns + 100 * MS,
         queue_empty_ns=frame.received_ns,
     )
-    assert last_frame(last, restarted, LIMITS.window).delivery.fresh_ns is None
+    assert followed_frame(last, restarted).delivery.fresh_ns is None
 
 
 @pytest.mark.parametrize(
@@ -213,7 +212,7 @@ def test_a_clock_that_restarts_needs_a_fresh_frame_before_it_is_believed_again()
 def test_a_frame_is_fresh_if_the_queue_was_empty_just_before_it(empty_before_ns, is_fresh):
     frame = measured(0)
     empty_ns = None if empty_before_ns is None else frame.received_ns - empty_before_ns
-    verdict = check_frame(None, replace(frame, queue_empty_ns=empty_ns), frame.received_ns + MS, LIMITS)
+    verdict = checked(None, replace(frame, queue_empty_ns=empty_ns), frame.received_ns + MS, LIMITS)
     assert (verdict is None) is is_fresh
 
 

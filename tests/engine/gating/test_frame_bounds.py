@@ -6,10 +6,19 @@ from dataclasses import replace
 import pytest
 
 from engine.core.gate_state import HoldReason
-from engine.gating.frame_checks import check_frame, last_frame
-from tests.support.gating.streams import LEVEL_MM, LIMITS, MS, PERIOD_NS, PERIOD_US, measured, motion_of
+from tests.support.gating.streams import (
+    LEVEL_MM,
+    LIMITS,
+    MS,
+    PERIOD_NS,
+    PERIOD_US,
+    checked,
+    followed_frame,
+    measured,
+    motion_of,
+)
 
-BEFORE = last_frame(None, measured(3), LIMITS.window)
+BEFORE = followed_frame(None, measured(3))
 NEXT = measured(4)
 EASY = replace(LIMITS, max_gap_ms=200.0, max_silence_ms=300.0, max_latency_ms=1000.0, max_frame_age_ms=200.0)
 PERIOD_MS = PERIOD_NS / MS
@@ -17,7 +26,7 @@ PERIOD_MS = PERIOD_NS / MS
 
 def refused(frame=NEXT, limits=LIMITS, *, age_ns=5 * MS, last=BEFORE):
     """Return reason and words of the refusal of a frame decided on so long after it came; None if it is good."""
-    found = check_frame(last, frame, frame.received_ns + age_ns, limits)
+    found = checked(last, frame, frame.received_ns + age_ns, limits)
     return None if found is None else (found.reason, found.detail)
 
 
@@ -159,13 +168,13 @@ def test_a_step_up_to_its_bound_is_none(step_mm, refusal):
 
 
 def test_what_is_remembered_of_a_frame_is_its_index_its_times_and_its_signals():
-    found = last_frame(BEFORE, NEXT, LIMITS.window)
+    found = followed_frame(BEFORE, NEXT)
     assert (found.index, found.timestamp_us, found.received_ns) == (4, NEXT.timestamp_us, NEXT.received_ns)
     assert (found.signals_mm, found.signal_age_frames) == ((LEVEL_MM,), 0)
-    hidden = last_frame(found, replace(measured(5), motion=None, missed_frames=2), LIMITS.window)
+    hidden = followed_frame(found, replace(measured(5), motion=None, missed_frames=2))
     assert (hidden.signals_mm, hidden.signal_age_frames) == ((LEVEL_MM,), 3)
-    unknown = last_frame(found, replace(measured(5), motion=motion_of(math.nan)), LIMITS.window)
+    unknown = followed_frame(found, replace(measured(5), motion=motion_of(math.nan)))
     assert (unknown.signals_mm, unknown.signal_age_frames) == ((LEVEL_MM,), 1)
-    first = last_frame(None, replace(measured(5), motion=None), LIMITS.window)
+    first = followed_frame(None, replace(measured(5), motion=None))
     assert (first.signals_mm, first.signal_age_frames) == (None, 0)
     assert found.timestamp_us - BEFORE.timestamp_us == PERIOD_US

@@ -15,7 +15,7 @@ from engine.calibration.quantisation import depth_table_mm
 from engine.core import compiled
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Lost, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
-from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, EQUAL, _is_gray, changed_share, chroma_of
+from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, EQUAL, _is_gray, chroma_of, color_change
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
@@ -276,9 +276,9 @@ def test_the_changed_share_is_the_same(seed, changed, dark):
     before[rng.random(len(before)) < dark] = np.nan
     newest = np.zeros((2, *now.shape), dtype=np.float32)
     now[rng.random(len(now)) < dark] = np.nan
-    found = changed_share(before, now, newest[0])
+    found = color_change(before, now, newest[0])
     with compiled.numpy_forms():
-        assert found == changed_share(before, now, newest[1])
+        assert found == color_change(before, now, newest[1])
     assert np.array_equal(newest[0], newest[1])
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from engine.core.gate_state import HoldReason
-from engine.gating.frame_checks import LastFrame, Verdict, captured_ns, check_frame, last_frame
+from engine.gating.frame_checks import LastFrame, Verdict, captured_ns, check_frame, delivery_with, last_frame
 from engine.gating.limits import GateLimits
 from tests.support.gating.streams import LIMITS, MS, START_NS, measured, motion_of
 
@@ -81,7 +81,8 @@ def watched(
             received_ns=received_ns,
             queue_empty_ns=empty_ns,
         )
-        verdict = check_frame(last, frame, received_ns + MS, limits)
-        last = last_frame(last, frame, limits.window)
+        delivery = delivery_with(last, frame)
+        verdict = check_frame(last, frame, delivery, received_ns + MS, limits)
+        last = last_frame(last, frame, delivery, limits.window)
         shown_ms = (frame.received_ns - captured_ns(last, frame, limits)) / MS
         yield Seen(at_s=taken_ns / S, age_ms=age_ms, shown_ms=shown_ms, verdict=verdict)

@@ -8,6 +8,7 @@ from engine.core.commands import Acknowledge, Arm
 from engine.core.frames import Evidence, Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.signals import HeadDirection
+from engine.gating.frame_checks import check_frame, delivery_with, last_frame
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
@@ -144,3 +145,13 @@ def stream_in(state: GateState, *, limits: GateLimits = LIMITS, level_mm: float 
 def clear_and_arm(stream: Stream) -> None:
     stream.step(Acknowledge(operator="bob"))
     stream.step(Arm(operator="bob"))
+
+
+def checked(last, frame, now_ns, limits):
+    """Check a frame as the gate does; return the verdict."""
+    return check_frame(last, frame, delivery_with(last, frame), now_ns, limits)
+
+
+def followed_frame(last, frame):
+    """Return the summary with which the next frame is compared."""
+    return last_frame(last, frame, delivery_with(last, frame), LIMITS.window)

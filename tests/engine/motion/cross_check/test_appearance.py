@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.motion.cross_check.appearance import AROUND, brightness_of, changed_share, chroma_of
+from engine.motion.cross_check.appearance import AROUND, brightness_of, chroma_of, color_change
 
 MARKERS_PX = np.array([[200.0, 100.0], [440.0, 110.0], [430.0, 380.0], [210.0, 370.0]])
 SKIN, SHEET = (190.0, 140.0, 120.0), (62.0, 112.0, 98.0)
@@ -30,7 +30,7 @@ def share(color, markers_px=MARKERS_PX):
 
 
 def changed(before, now):
-    return changed_share(before, now, before.copy())
+    return color_change(before, now, before.copy()).changed_share
 
 
 def test_a_sheet_changes_its_share_of_the_region():
@@ -81,10 +81,10 @@ def test_an_infrared_picture_has_no_colour_to_compare_however_bright_it_is():
 
 def test_what_is_dark_now_keeps_the_colour_that_it_had_last():
     newest, sheet = BEFORE.copy(), chroma_of(picture(sheet=slice(240, 400), seed=2), MARKERS_PX)
-    covered = changed_share(BEFORE, sheet, newest)
+    covered = color_change(BEFORE, sheet, newest).changed_share
     assert covered == pytest.approx(0.5, abs=0.08)
-    assert changed_share(BEFORE, np.full_like(sheet, np.nan), newest) == covered
-    assert changed_share(BEFORE, BEFORE, newest) == 0.0
+    assert color_change(BEFORE, np.full_like(sheet, np.nan), newest).changed_share == covered
+    assert color_change(BEFORE, BEFORE, newest).changed_share == 0.0
 
 
 def test_brightness_is_that_of_the_cells_and_of_the_near_surroundings():
