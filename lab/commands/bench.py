@@ -168,7 +168,8 @@ def show(figures: SpeedFigures, marks: list[SpeedMark]) -> None:
 
 def _described(machine: Machine) -> str:
     return (
-        f"{machine.processor}, {len(machine.cores)} core{'s' * (len(machine.cores) > 1)}, {machine.memory_gb:g} GB; "
+        f"{machine.processor} ({machine.caches}), "
+        f"{len(machine.cores)} core{'s' * (len(machine.cores) > 1)}, {machine.memory_gb:g} GB; "
         f"{machine.system}; Python {machine.python}, numpy {machine.numpy}, OpenCV {machine.opencv}; "
         f"frame path: {machine.frame_path}"
     )

@@ -4,6 +4,8 @@ Every frame is decoded immediately before it is timed, as in a session, so that 
 decoder leaves.
 """
 
+import math
+import sys
 import time
 from dataclasses import dataclass
 
@@ -14,6 +16,7 @@ from engine.capture.oni.reader import OniReader
 from engine.capture.oni.streams import CodedFrame
 from engine.core.compiled import numpy_forms
 from engine.core.frames import FloatArray, MeasurementState, RgbdFrame
+from engine.core.gate_state import GateState
 from engine.motion.learning.trainer import InlineTrainer
 from lab.evaluation.methods.plain import ARTICLE_FPS, PlainReading
 from lab.performance.machine import (
@@ -28,6 +31,8 @@ from lab.performance.session import READ_TIMEOUT_S, BenchSession, EndlessSource,
 # The number of training frames does not change the cost of a frame.
 TRAINING_FRAMES = 20
 MAX_UNMEASURED = 100
+COUNTED_FRAMES = 60
+MOST_UNTIL_ON = 3000
 NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
 MIN_MEASURED_SHARE = 0.95
 
@@ -127,6 +132,8 @@ class FrameCosts:
         The plain method, from decoded pictures to a surface of the region.
     lost_core_share
         Share of the timed span in which other processes used the core, 0 to 1.
+    calls
+        Median number of Python calls of a frame.
     """
 
     whole: Timing
@@ -136,6 +143,7 @@ class FrameCosts:
     decoding: tuple[PictureCost, ...]
     numpy_decoding: tuple[PictureCost, ...]
     lost_core_share: float
+    calls: float
 
     @property
     def median_ratio(self) -> float:
@@ -146,6 +154,11 @@ class FrameCosts:
     def compiled_ratio(self) -> float:
         """Ratio of the median processor time with the numpy forms to that of the path that runs."""
         return self.numpy_cpu.median_us / self.whole_cpu.median_us
+
+    @property
+    def spread(self) -> float:
+        """Ratio of our 99th percentile to our median."""
+        return self.whole.p99_us / self.whole.median_us
 
     @property
     def p99_ratio(self) -> float:
@@ -171,6 +184,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
         with numpy_forms():
             numpy_blocks.append(_whole_block(ours, sizes.block_frames)[1])
         plain_blocks.append(plain.block(sizes.plain_frames))
+    calls = calls_a_frame(ours, COUNTED_FRAMES)
     ours.close()
     plain.close()
     with numpy_forms():
@@ -182,8 +196,32 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
         plain=timing_of(plain_blocks),
         decoding=time_decoding(recording, sizes.decoded),
         numpy_decoding=numpy_decoding,
+        calls=calls,
         lost_core_share=max(0.0, 1.0 - float(np.concatenate(cpu_blocks).sum() / np.concatenate(wall_blocks).sum())),
     )
+
+
+def calls_a_frame(ours: BenchSession, frames: int) -> float:
+    """Return the median number of Python calls of frames measured with the beam on; NaN if there are none."""
+    counts, calls = [], 0
+
+    def count(_frame: object, event: str, _argument: object) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    ours.arm()
+    for _ in range(MOST_UNTIL_ON):  # a dwell is real time, and these frames come as fast as they are decoded
+        if ours.gate.state is GateState.BEAM_ON:
+            break
+        ours.decide(ours.read())
+    for _ in range(frames):
+        frame, calls = ours.read(), 0
+        sys.setprofile(count)
+        state = ours.decide(frame)
+        sys.setprofile(None)
+        if state is MeasurementState.MEASURING and ours.gate.state is GateState.BEAM_ON:
+            counts.append(calls)
+    return float(np.median(counts)) if counts else math.nan
 
 
 def _warm_up(ours: BenchSession, frames: int) -> None:

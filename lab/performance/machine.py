@@ -48,6 +48,8 @@ class Machine:
 
     Attributes
     ----------
+    caches
+        Sizes of the last core's caches of data, nearest first.
     cores
         Cores that this process may use.
     load_average
@@ -55,6 +57,7 @@ class Machine:
     """
 
     processor: str
+    caches: str
     cores: tuple[int, ...]
     memory_gb: float
     system: str
@@ -79,6 +82,7 @@ def this_machine() -> Machine:
     """Describe the machine and its current load."""
     return Machine(
         processor=_processor(),
+        caches=_caches(max(os.sched_getaffinity(0))),
         cores=tuple(sorted(os.sched_getaffinity(0))),
         memory_gb=round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1),
         system=f"{platform.system()} {platform.release()}",
@@ -197,6 +201,15 @@ def _work(sender: Connection, work: Callable[..., object], args: tuple[object, .
         sender.send((True, work(*args, **kwargs)))
     except TidegateError as error:
         sender.send((False, str(error)))
+
+
+def _caches(core: int) -> str:
+    found = []
+    for folder in sorted(Path(f"/sys/devices/system/cpu/cpu{core}/cache").glob("index*")):
+        with suppress(OSError):
+            if (folder / "type").read_text().strip() != "Instruction":
+                found.append((folder / "size").read_text().strip())
+    return ", ".join(found) or "unknown"
 
 
 def _processor() -> str:

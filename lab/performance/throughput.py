@@ -124,10 +124,11 @@ def steady_rate(recording: Recording, work: Path) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitSizes:
-    """Number of training frames of a model, and number of fits."""
+    """Number of training frames of a model, of fits, and of quiet frames before each."""
 
     frames: int
     fits: int
+    quiet_frames: int = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,12 +153,21 @@ class FitCost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramesWhileFitting:
-    """Frame times at the recording's rate while a model was fitted; ``job_s`` is the median time of a fit then [s]."""
+    """Frame times at the recording's rate while a model was fitted; ``job_s`` is the median time of a fit then [s].
+
+    ``quiet`` is of frames at the same rate before each fit: a processor that waits between frames is slower in each.
+    """
 
     cores: int
+    quiet: Timing
     timing: Timing
     fits: int
     job_s: float
+
+    @property
+    def p99_ratio(self) -> float:
+        """The 99th percentile while a model is fitted over that of quiet frames."""
+        return self.timing.p99_us / self.quiet.p99_us
 
 
 class TimedTrainer:
@@ -250,8 +260,9 @@ def time_frames_while_fitting(
     session = BenchSession(recording, trainer, training=learning_from(sizes.frames, recording.training))
     session.learn(lambda: background.wait(TRAINING_S))  # frames come faster than the training process starts
     set_memory_aside()
-    blocks = []
+    blocks, quiet_blocks = [], []
     for number in range(1, sizes.fits + 1):
+        quiet_blocks.append(_paced(session, _Frames(sizes.quiet_frames), recording.fps))
         retraining = _Retraining(session, sizes.frames)
         while len(trainer.began_ns) == number and not trainer.is_busy:
             session.decide(session.read())
@@ -261,18 +272,19 @@ def time_frames_while_fitting(
     background.close()
     return FramesWhileFitting(
         cores=cores,
+        quiet=timing_of([np.concatenate(quiet_blocks)]),
         timing=timing_of([np.concatenate(blocks)]),
         fits=len(blocks),
         job_s=float(np.median(trainer.seconds[1:])),
     )
 
 
-def _paced(session: BenchSession, retraining: "_Retraining", fps: float) -> FloatArray:
-    """Process frames at the recording's rate until the switch to the new model; return their durations [ns]."""
+def _paced(session: BenchSession, period: "_Retraining | _Frames", fps: float) -> FloatArray:
+    """Process frames at the recording's rate until a period is over; return their durations [ns]."""
     period_ns, spent_ns = round(NS_PER_S / fps), []
     due_ns = time.perf_counter_ns()
     session.arm()
-    while not retraining.is_over:
+    while not period.is_over:
         frame = session.read()  # decode before the frame is due, as a player does
         due_ns += period_ns
         time.sleep(max(due_ns - time.perf_counter_ns(), 0) / NS_PER_S)
@@ -280,6 +292,19 @@ def _paced(session: BenchSession, retraining: "_Retraining", fps: float) -> Floa
         session.decide(frame)
         spent_ns.append(time.perf_counter_ns() - started_ns)
     return np.array(spent_ns, dtype=np.float64)
+
+
+class _Frames:
+    """So many frames."""
+
+    def __init__(self, frames: int) -> None:
+        self._left = frames
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there were so many; call it once per frame."""
+        self._left -= 1
+        return self._left < 0
 
 
 class _Retraining:

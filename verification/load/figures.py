@@ -12,7 +12,12 @@ from verification.load.usage import Usage
 
 TWO_FRAMES_MS = 67.0
 P99_MARK_MS, P999_MARK_MS = 10.0, 33.0
-GROWTH_MARK_SHARE = 0.05
+QUIET_P50_MARK_MS, QUIET_P99_MARK_MS = 1.5, 3.0
+P99_MARK_RATIO, P999_MARK_RATIO = 1.5, 2.5
+"""Loaded over quiet, of the same run."""
+READY_MARK_S = 1.5
+IDLE_MARK_MB, ARMED_MARK_MB = 200.0, 350.0
+GROWTH_MARK_SHARE = 0.02
 LEAST_TO_JUDGE_MEMORY_S = 600.0
 COURSE = 12
 WARM_S = 60.0
@@ -32,7 +37,8 @@ def figures_of(outcome: Outcome) -> dict[str, Any]:
         "clients": _clients(outcome.loaded),
         "requests": _requests(outcome.loaded),
         "answers": dict(sorted(outcome.answers.items())),
-        "memory": _memory(outcome.memory),
+        "ready_s": round(outcome.ready_s, 2),
+        "memory": {"idle_mb": round(outcome.idle.resident_mb, 1), **_memory(outcome.memory)},
         "session": {
             "status": outcome.session["status"],
             "frames": len(outcome.frames),
@@ -50,8 +56,26 @@ def figures_of(outcome: Outcome) -> dict[str, Any]:
 
 def marks_of(found: dict[str, Any]) -> list[dict[str, Any]]:
     """Hold the figures against what is promised."""
-    loaded, clients = found["frames"]["loaded"], found["clients"]
+    quiet, loaded, clients = found["frames"]["quiet"], found["frames"]["loaded"], found["clients"]
+    memory = found["memory"]
     marks = [
+        _mark("the service answers", found["ready_s"], "s", f"at most {READY_MARK_S:g}", READY_MARK_S),
+        _mark("memory, idle", memory["idle_mb"], "MB", f"at most {IDLE_MARK_MB:g}", IDLE_MARK_MB),
+        _mark("memory, armed", memory["start_mb"], "MB", f"at most {ARMED_MARK_MB:g}", ARMED_MARK_MB),
+        *(
+            _mark(f"received to decided, quiet, {name}", quiet[f"decision_{name}_ms"], "ms", f"at most {most:g}", most)
+            for name, most in (("p50", QUIET_P50_MARK_MS), ("p99", QUIET_P99_MARK_MS))
+        ),
+        *(
+            _mark(
+                f"received to decided, {name} over quiet",
+                loaded[f"decision_{name}_ms"] / max(quiet[f"decision_{name}_ms"], 1e-9),
+                "times",
+                f"at most {most:g}",
+                most,
+            )
+            for name, most in (("p99", P99_MARK_RATIO), ("p999", P999_MARK_RATIO))
+        ),
         _mark("received to decided, p99", loaded["decision_p99_ms"], "ms", f"at most {P99_MARK_MS:g}", P99_MARK_MS),
         _mark(
             "received to decided, p99.9", loaded["decision_p999_ms"], "ms", f"at most {P999_MARK_MS:g}", P999_MARK_MS
@@ -66,7 +90,6 @@ def marks_of(found: dict[str, Any]) -> list[dict[str, Any]]:
         ]
     failed = sum(count for name, count in found["answers"].items() if not _is_fine(name))
     marks.append(_mark("requests that failed", failed, "", "none", 0))
-    memory = found["memory"]
     if memory["seconds"] >= LEAST_TO_JUDGE_MEMORY_S:
         bound = 100.0 * GROWTH_MARK_SHARE
         grown = 100.0 * (memory["end_mb"] / memory["warm_mb"] - 1.0)

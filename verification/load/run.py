@@ -105,6 +105,8 @@ class Outcome:
     loaded: Counted
     begun_s: float
     ended_s: float
+    ready_s: float
+    idle: Usage
     memory: list[Usage]
     answers: dict[str, int]
     load_averages: tuple[float, float]
@@ -152,6 +154,7 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None, ending:
         with served(
             place, recording.parent, checkout=load.checkout, environment=_environment(load), tls=tls
         ) as service:
+            idle = usage_of(service.process.pid)
             on_step("learning")
             session_id = start_session(service, recording, learn(service, folder, recording))
             begun_s = time.monotonic()
@@ -174,6 +177,8 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None, ending:
         loaded=loaded,
         begun_s=begun_s,
         ended_s=ended_s,
+        ready_s=service.ready_s,
+        idle=idle,
         memory=memory.seen,
         answers=answers,
         load_averages=(before, os.getloadavg()[0]),

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ SCOPES = (
 )
 OPERATOR = "Load"
 START_S, LEARN_S, STOP_S = 60.0, 300.0, 60.0
-LOOK_S = 0.1
+LOOK_S, SOON_S = 0.1, 0.02
 WINDOW = {"signal": "whole", "lower_mm": -3.0, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 """The beam goes on and off with every breath."""
 
@@ -39,7 +39,7 @@ class LoadError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Service:
-    """A service that runs, and how to speak to it."""
+    """A service that runs, and how to speak to it; ``ready_s`` after its start it answered."""
 
     process: subprocess.Popen[bytes]
     port: int
@@ -48,6 +48,7 @@ class Service:
     log: Path
     person_headers: dict[str, str]
     certificate: Path | None = None
+    ready_s: float = 0.0
 
     @property
     def url(self) -> str:
@@ -111,7 +112,7 @@ def served(
     settings = _settings_for(data, given, tls)
     origin = f"{'http' if tls is None else 'https'}://127.0.0.1:{port}"
     let_in = provision(data, people={OPERATOR: {Role.THERAPIST}}, origin=origin, settings=settings)
-    log = place / "serve.log"
+    log, began_s = place / "serve.log", time.monotonic()
     with log.open("wb") as output:
         process = subprocess.Popen(
             [*command, "serve", "--port", str(port), "--data", str(data), "--recordings", str(recordings)],
@@ -132,7 +133,7 @@ def served(
     )
     try:
         _wait_until_it_answers(service)
-        yield service
+        yield replace(service, ready_s=time.monotonic() - began_s)
     finally:
         if process.poll() is None:
             process.terminate()
@@ -269,4 +270,4 @@ def _wait_until_it_answers(service: Service) -> None:
                     return
             if time.monotonic() > end_s:
                 raise LoadError(f"the service does not answer:\n{service.log.read_text()[-4000:]}")
-            time.sleep(LOOK_S)
+            time.sleep(SOON_S)

@@ -102,7 +102,8 @@ def _machine(found: dict[str, Any]) -> list[str]:
     memory, session = found["memory"], found["session"]
     lines += [
         "",
-        f"Memory of the service [MB]: {memory['start_mb']} armed, {memory['warm_mb']} after a minute, "
+        f"The service answered after {found['ready_s']} s. Memory of the service [MB]: {memory['idle_mb']} idle, "
+        f"{memory['start_mb']} armed, {memory['warm_mb']} after a minute, "
         f"{memory['end_mb']} after "
         f"{memory['seconds'] / 60.0:.1f} min, at most {memory['most_mb']}; {memory['processes']} processes, at most "
         f"{memory['threads_most']} threads and {memory['files_most']} open files ({memory['files_end']} at the end).",
@@ -121,7 +122,7 @@ def _marks(found: dict[str, Any]) -> list[str]:
     for mark in found["marks"]:
         value = (
             f"{mark['value']:.1f} {mark['unit']}".rstrip()
-            if mark["unit"] in {"ms", "%"}
+            if mark["unit"] in {"ms", "%", "s", "times", "MB"}
             else f"{mark['value']:.0f} {mark['unit']}"
         )
         lines.append(f"| {mark['name']} | {value.rstrip()} | {mark['bound']} | {'yes' if mark['is_met'] else 'NO'} |")

@@ -159,6 +159,8 @@ def test_a_run_that_was_ended_before_any_load_has_figures_without_it():
         loaded=Counted(),
         begun_s=0.0,
         ended_s=0.1,
+        ready_s=1.0,
+        idle=usage_of(os.getpid()),
         memory=[usage_of(os.getpid())],
         answers={},
         load_averages=(0.0, 0.0),
@@ -168,7 +170,10 @@ def test_a_run_that_was_ended_before_any_load_has_figures_without_it():
     found = figures_of(outcome)
     assert found["frames"]["quiet"]["decision_max_ms"] == 2.0
     assert "0 s of load" in text_of(found)
-    assert not any(mark["is_met"] for mark in found["marks"] if mark["name"].startswith("received to decided"))
+    decided = [mark for mark in found["marks"] if mark["name"].startswith("received to decided")]
+    assert {mark["name"] for mark in decided if mark["is_met"]} == {
+        f"received to decided, quiet, p{n}" for n in (50, 99)
+    }
 
 
 @pytest.mark.parametrize("blank", ["", " "])
