@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SWITCH_INTERVAL_S = 0.001
 """The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
 MOST_FILES = 65_536
-LATE_LIBRARIES = ("pyarrow", "cv2")
+LATE_LIBRARIES = ("pyarrow", "pyarrow.compute", "pyarrow.parquet", "cv2")
 """Sixty megabytes that a service needs for its first session."""
 UMASK = 0o077
 """Models, samples, tapes and audit anchors are readable by the service's own account only."""

@@ -8,6 +8,7 @@ import importlib.util
 import sys
 import threading
 from collections.abc import Callable
+from importlib.machinery import PathFinder
 from types import ModuleType
 
 _loading = threading.RLock()
@@ -43,6 +44,8 @@ class _LateModule(ModuleType):
 def load_when_used(*names: str) -> None:
     """Have these libraries loaded at their first use, unless they are already; call it before they are imported.
 
+    A part of a library is named behind it.
+
     Raises
     ------
     ModuleNotFoundError
@@ -51,13 +54,18 @@ def load_when_used(*names: str) -> None:
     for name in names:
         if name in sys.modules:
             continue
-        spec = importlib.util.find_spec(name)
+        whole, _, part = name.rpartition(".")
+        parent = sys.modules.get(whole)
+        places = None if parent is None or parent.__spec__ is None else parent.__spec__.submodule_search_locations
+        spec = PathFinder.find_spec(name, places)
         if spec is None:
             raise ModuleNotFoundError(name=name)
         module = _LateModule(name)
         module.__dict__.update(importlib.util.module_from_spec(spec).__dict__, __is_late__=True)
         module.__dict__.pop("__path__", None)  # whoever imports a part of it loads it first
         sys.modules[name] = module
+        if parent is not None:
+            setattr(parent, part, module)
 
 
 def when_loaded(name: str, work: Callable[[], object]) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from engine.core.clock import NS_PER_S
 from service.core.schemas.reports import GatedMotion, HeldTime, Pulse, Range, ReportFigures
@@ -88,8 +89,6 @@ def _alike(parts: list[npt.NDArray[np.float32]], nothing: npt.NDArray[np.float32
 
 def _named_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
     """Return the named regions' motion in the frames of a batch with the beam on, shape (frames, regions) [mm]."""
-    import pyarrow.compute as pc  # a tenth of a second, and of no use before
-
     on = batch.filter(pc.and_(pc.equal(batch["gate"], "beam_on"), pc.is_valid(batch["named_mm"])))
     values = on["named_mm"].flatten().to_numpy(zero_copy_only=False)
     return [values.reshape(on.num_rows, -1).astype(np.float32)] if len(values) else []
@@ -97,8 +96,6 @@ def _named_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
 
 def _cells_on(batch: pa.RecordBatch) -> list[npt.NDArray[np.float32]]:
     """Return the cells' motion in the frames of a batch with the beam on, shape (frames, rows, columns) [mm]."""
-    import pyarrow.compute as pc  # a tenth of a second, and of no use before
-
     on = batch.filter(pc.and_(pc.equal(batch["gate"], "beam_on"), pc.is_valid(batch["region_rows"])))
     if on.num_rows == 0:
         return []

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.gate_state import HoldReason
@@ -48,8 +49,6 @@ class Figures:
 
     def add(self, batch: pa.RecordBatch) -> None:
         """Count a batch of samples."""
-        import pyarrow.compute as pc  # a tenth of a second, and of no use before a session
-
         is_armed = _plain(pc.not_equal(batch["gate"], "disarmed"))
         self.frames += batch.num_rows
         self.missed_frames += int(_plain(batch["missed_frames"]).sum())

@@ -6,10 +6,11 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from engine.core.files import file_sha256, put_in_place
 from service.storage.samples.layout import SampleHead, head_of
@@ -34,8 +35,6 @@ def _content(column: pa.Array) -> Iterator[bytes]:
     yield _plain(column.is_valid(), np.uint8)
     kind = column.type
     if pa.types.is_list(kind):
-        import pyarrow.compute as pc  # a tenth of a second, and of no use before
-
         yield _plain(pc.fill_null(pc.list_value_length(column), 0), "<i8")
         yield _plain(column.flatten(), "<f4")
     elif pa.types.is_string(kind):
@@ -89,16 +88,12 @@ def write_parquet(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatc
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
     """Read it a piece at a time; the file is opened at once, and stays readable when it is taken away meanwhile."""
-    import pyarrow.parquet as pq  # with the library, when it is used
-
     file = pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False)
     return _pieces(file, columns)
 
 
 def read_row(path: Path, index: int) -> pa.RecordBatch:
     """Read one row, from its row group alone."""
-    import pyarrow.parquet as pq  # with the library, when it is used
-
     with pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False) as file:
         group = file.read_row_group(index // ROWS_A_GROUP, use_threads=False)
         return group.slice(index % ROWS_A_GROUP, 1).combine_chunks().to_batches()[0]
@@ -106,14 +101,12 @@ def read_row(path: Path, index: int) -> pa.RecordBatch:
 
 def parquet_head(path: Path) -> tuple[SampleHead, int]:
     """Read a file's head, and how many rows it has."""
-    import pyarrow.parquet as pq  # with the library, when it is used
-
     with pq.ParquetFile(path, pre_buffer=False) as file:
         return head_of(file.schema_arrow.metadata or {}), int(file.metadata.num_rows)
 
 
 def _pieces(
-    file: Any,  # noqa: ANN401 - pyarrow has no types
+    file: pq.ParquetFile,
     columns: Sequence[str] | None,
 ) -> Iterator[pa.RecordBatch]:
     with file:
@@ -122,8 +115,6 @@ def _pieces(
 
 def _write(partial: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> tuple[list[str], int]:
     digests, rows = [], 0
-    import pyarrow.parquet as pq  # with the library, when it is used
-
     with pq.ParquetWriter(partial, schema, compression="zstd", use_dictionary=_texts(schema)) as writer:
         for group in _groups(schema, batches):
             writer.write_batch(group, row_group_size=ROWS_A_GROUP)
@@ -158,8 +149,6 @@ def _joined(schema: pa.Schema, held: list[pa.RecordBatch]) -> pa.RecordBatch:
 
 
 def _group_digests(path: Path) -> Iterator[str]:
-    import pyarrow.parquet as pq  # with the library, when it is used
-
     with pq.ParquetFile(path, pre_buffer=False) as file:
         for group in range(file.metadata.num_row_groups):
             table = file.read_row_group(group, use_threads=False).combine_chunks()

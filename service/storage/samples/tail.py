@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from service.storage.samples.layout import SampleHead, head_of
 from service.storage.samples.store import SampleStore
@@ -96,8 +98,6 @@ class SampleTails:
 
     def _closed_page(self, session_id: str, after: int, oldest_ns: int, most: int) -> Page:
         table = self._closed(session_id)
-        import pyarrow.compute as pc  # a tenth of a second, and of no use before
-
         is_wanted = pc.and_(pc.greater(table["frame_index"], after), pc.greater_equal(table["received_ns"], oldest_ns))
         return Page(rows=table.filter(is_wanted).slice(0, most).to_pylist(), head=_head(table.schema))
 
@@ -162,8 +162,6 @@ class _StreamTail:
 
 def _read_end(path: Path) -> pa.Table:
     try:
-        import pyarrow.parquet as pq  # with the library, when it is used
-
         with pq.ParquetFile(path, pre_buffer=False) as file:
             count = file.num_row_groups
             wanted = list(range(max(count - GROUPS, 0), count))

@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 US = 1000.0
 MB = 1_000_000
-MOST_CALLS = 450.0
+MOST_CALLS = 560.0
 HURRIED = TrainingSettings(min_frames=40, min_cycles=0, min_seconds=3.0, max_seconds=6.0, max_frames=200)
 
 
@@ -156,7 +156,10 @@ class TickingClock(ManualClock):
 
 
 def test_a_measured_frame_makes_so_many_calls_of_python_and_no_more(lit_volunteer):
-    """A count is no time: it is the same on every processor. The target is 250."""
+    """A count is no time: it is the same on every processor. The target is 250.
+
+    Of frames with the beam on, soon after the first model, when frames are still kept for a refit.
+    """
     session = BenchSession(lit(lit_volunteer), InlineTrainer())
     session.learn()
     calls = calls_a_frame(session, 20)

@@ -54,7 +54,7 @@ def test_a_line_is_printed_exactly_as_it_is(text, capsys):
         (
             "service.web.app",
             (
-                *("matplotlib", "pyarrow.lib", "pyarrow.compute", "scipy", "psycopg", "pydicom", "rich", "lab"),
+                *("matplotlib", "pyarrow.lib", "scipy", "psycopg", "pydicom", "rich", "lab"),
                 *("alembic", "authlib", "joserfc", "httpx2", "cryptography"),
             ),
         ),
