@@ -226,7 +226,7 @@ class Pipeline:
             return self._without_model(frame, roi, found)
         self.learner.models.depth_steps = stored_steps(self._tracker.depth_steps)
         thin = roi.thinned(STRIDE_PX)
-        self._trust.observe(frame, found, roi, thin)
+        self._trust.observe(frame, self._repeated.thin, found, roi, thin)
         if needs.is_gathering and needs.active is None:
             self._find_costal_line(frame, found)
         if needs.takes_lost_frames:

@@ -6,6 +6,7 @@ from engine.core.sentences import say
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.cross_check.present_noise import FILTERED_SHARE
 from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.tracking.repeated_pictures import ThinViews
 from engine.motion.tracking.surface_continuity import MarkerLayout, ObservedSurface, SurfaceContinuity, marker_points_mm
 
 Depths = tuple[FloatArray, FloatArray]
@@ -32,12 +33,12 @@ class SurfaceTrust:
         self._points_mm: FloatArray | None = None
         self._disagreement: Lost | None = None
 
-    def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth, thin: RoiDepth) -> None:
+    def observe(self, frame: RgbdFrame, views: ThinViews, found: Markers, roi: RoiDepth, thin: RoiDepth) -> None:
         """Take a frame, whether a model explains it or not; ``thin`` is the sampling of ``roi`` that is measured."""
         rays = self._calibration.color.rays(found.centers_px)
         self._timestamp_us, self._found = frame.timestamp_us, found
         self._points_mm = marker_points_mm(rays, roi)
-        self.second_estimate.observe(frame, found, rays, thin)
+        self.second_estimate.observe(frame, views, found, rays, thin)
 
     def judge(
         self, active: PreparedModel, outcome: Projection | Lost, *, is_reference_due: bool, position_generation: int

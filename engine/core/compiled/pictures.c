@@ -330,20 +330,20 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
     Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
     Py_buffer *homography = array_of(&arrays, args[1], "homography", 'd', 2);
     Py_ssize_t cell_columns = whole_of(&arrays, args[2], "cell_columns", 1, MOST_SAMPLES / SAMPLES);
-    Py_ssize_t step = whole_of(&arrays, args[3], "step", 1, 4096);
+    Py_buffer *thin = array_of(&arrays, args[3], "thin", 'B', 3);
     double least_brightness = number_of(&arrays, args[4], "least_brightness");
     Py_buffer *chroma = output_of(&arrays, args[5], "chroma", 'f', 2);
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    require(&arrays, color->shape[2] == 3, "color must have three channels");
+    require(&arrays, color->shape[2] == 3 && thin->shape[2] == 3, "color and thin must have three channels");
     require(&arrays, homography->shape[0] == 3 && homography->shape[1] == 3, "homography must be 3 by 3");
     require(&arrays, chroma->shape[1] == 2 && chroma->shape[0] % cell_columns == 0, "chroma must be pairs of whole rows");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     Py_ssize_t rows = color->shape[0], columns = color->shape[1];
-    Py_ssize_t most = (rows / step + 1) * (columns / step + 1);
+    Py_ssize_t most = thin->shape[0] * thin->shape[1];
     require(&arrays, rows < 32768 && columns < 32768, "color must have less than 32768 rows and columns");
-    double *seen = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * most) * sizeof *seen), *chosen = NULL;
+    double *seen = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * most + 1) * sizeof *seen), *chosen = NULL;
     if (seen == NULL && arrays.failed)
         return finish(&arrays, Py_None);
     if (seen == NULL) {
@@ -356,16 +356,11 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
     const double *h = homography->buf;
     float least = (float)least_brightness, balance[2] = {0.0f, 0.0f}, shares[2];
     Py_ssize_t n = 0;
-    for (Py_ssize_t row = step / 2; row < rows; row += step) {
-        if (row + step < rows) /* the picture is cold, and these rows lie far apart */
-            for (Py_ssize_t at = 0; at < 3 * columns; at += 64)
-                __builtin_prefetch(pixels + (row + step) * columns * 3 + at);
-        for (Py_ssize_t column = step / 2; column < columns; column += step) {
-            shares_of(pixels + (row * columns + column) * 3, least, shares);
-            if (shares[0] == shares[0]) {
-                seen[n] = (double)shares[0];
-                seen[most + n++] = (double)shares[1];
-            }
+    for (Py_ssize_t i = 0; i < most; i++) {
+        shares_of((const uint8_t *)thin->buf + 3 * i, least, shares);
+        if (shares[0] == shares[0]) {
+            seen[n] = (double)shares[0];
+            seen[most + n++] = (double)shares[1];
         }
     }
     if (n > 0)
@@ -783,27 +778,23 @@ PyObject *look_at_color(PyObject *module, PyObject *const *args, Py_ssize_t coun
 PyObject *is_gray(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 4, "is_gray"))
+    if (!counted(count, 3, "is_gray"))
         return NULL;
     Arrays arrays = {0};
     Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
-    Py_ssize_t step = whole_of(&arrays, args[1], "step_px", 1, 4096);
-    Py_ssize_t equal = whole_of(&arrays, args[2], "equal", 0, 255);
-    double most_equal = number_of(&arrays, args[3], "most_equal");
+    Py_ssize_t equal = whole_of(&arrays, args[1], "equal", 0, 255);
+    double most_equal = number_of(&arrays, args[2], "most_equal");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     require(&arrays, color->shape[2] == 3, "color must have three channels");
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    Py_ssize_t rows = color->shape[0], columns = color->shape[1], coloured = 0;
-    Py_ssize_t all = ((rows + step - 1) / step) * ((columns + step - 1) / step);
-    double most_coloured = (1.0 - most_equal) * (double)all;
-    for (Py_ssize_t row = 0; row < rows && (double)coloured <= most_coloured; row += step)
-        for (Py_ssize_t column = 0; column < columns; column += step) {
-            const uint8_t *pixel = (const uint8_t *)color->buf + (row * columns + column) * 3;
-            uint8_t least = whiteness(pixel), most = pixel[0] > pixel[1] ? pixel[0] : pixel[1];
-            most = most > pixel[2] ? most : pixel[2];
-            coloured += most - least > equal;
-        }
+    Py_ssize_t all = color->shape[0] * color->shape[1], coloured = 0;
+    for (Py_ssize_t i = 0; i < all; i++) {
+        const uint8_t *pixel = (const uint8_t *)color->buf + 3 * i;
+        uint8_t least = whiteness(pixel), most = pixel[0] > pixel[1] ? pixel[0] : pixel[1];
+        most = most > pixel[2] ? most : pixel[2];
+        coloured += most - least > equal;
+    }
     return finish(&arrays, (double)(all - coloured) / (double)all > most_equal ? Py_True : Py_False);
 }

@@ -4,47 +4,53 @@
 #include <math.h>
 #include <string.h>
 
-typedef struct {
-    const uint16_t *depth;
-    Py_ssize_t columns, block, step;
-} Picture;
+#define MOST_COLUMNS 4096
 
-/* Mean of a block's sampled readings; NaN where one is missing. */
-static inline double block_mean(const Picture *picture, Py_ssize_t row, Py_ssize_t column)
+/* Sums of readings and numbers of holes down the rows of blocks, for each column. */
+WIDE_VECTORS
+static void sum_rows(const uint16_t *depth, Py_ssize_t columns, Py_ssize_t rows, uint32_t *sums, uint32_t *holes)
 {
-    Py_ssize_t block = picture->block, step = picture->step, samples = (block / step) * (block / step);
-    const uint16_t *corner = picture->depth + row * block * picture->columns + column * block;
-    uint32_t sum = 0, holes = 0;
-    for (Py_ssize_t y = step / 2; y < block; y += step)
-        for (Py_ssize_t x = step / 2; x < block; x += step) {
-            uint32_t reading = corner[y * picture->columns + x];
-            sum += reading;
-            holes += reading == 0;
+    memset(sums, 0, (size_t)columns * sizeof *sums);
+    memset(holes, 0, (size_t)columns * sizeof *holes);
+    for (Py_ssize_t row = 0; row < rows; row++)
+        for (Py_ssize_t column = 0; column < columns; column++) {
+            uint32_t reading = depth[row * columns + column];
+            sums[column] += reading;
+            holes[column] += reading == 0;
         }
-    return holes ? (double)NAN : (double)((float)sum / (float)samples);
 }
 
+/* Mean of each block's readings; NaN where one is missing. */
 PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 4, "scene_blocks"))
+    if (!counted(count, 3, "scene_blocks"))
         return NULL;
     Arrays arrays = {0};
     Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
-    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
-    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
-    Py_buffer *means = output_of(&arrays, args[3], "blocks_mm", 'd', 2);
+    Py_ssize_t block = whole_of(&arrays, args[1], "block", 1, 256);
+    Py_buffer *means = output_of(&arrays, args[2], "blocks_mm", 'd', 2);
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
-    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == depth->shape[1] / block,
+    Py_ssize_t columns = depth->shape[1];
+    require(&arrays, columns <= MOST_COLUMNS, "depth_mm must have 4096 columns or fewer");
+    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == columns / block,
             "blocks_mm must be one for each whole block");
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    Picture picture = {.depth = depth->buf, .columns = depth->shape[1], .block = block, .step = step};
-    for (Py_ssize_t row = 0; row < means->shape[0]; row++)
-        for (Py_ssize_t column = 0; column < means->shape[1]; column++)
-            ((double *)means->buf)[row * means->shape[1] + column] = block_mean(&picture, row, column);
+    uint32_t sums[MOST_COLUMNS], holes[MOST_COLUMNS];
+    double *mean = means->buf;
+    for (Py_ssize_t row = 0; row < means->shape[0]; row++) {
+        sum_rows((const uint16_t *)depth->buf + row * block * columns, columns, block, sums, holes);
+        for (Py_ssize_t column = 0; column < means->shape[1]; column++) {
+            uint32_t sum = 0, missing = 0;
+            for (Py_ssize_t i = column * block; i < (column + 1) * block; i++) {
+                sum += sums[i];
+                missing += holes[i];
+            }
+            *mean++ = missing ? (double)NAN : (double)((float)sum / (float)(block * block));
+        }
+    }
     return finish(&arrays, Py_None);
 }
 

@@ -38,7 +38,6 @@ DARKENED = 0.4
 AROUND = 0.4
 """The surroundings reach this share of the region's size beyond it."""
 AROUND_STEP_PX = 8
-PICTURE_STEP_PX = 16
 _LEAST_OBJECT = np.ones((4, 4), dtype=np.uint8)
 """Four centimetres, of a region of 35 by 20 cm."""
 
@@ -82,39 +81,39 @@ def darkened_share(before: Chroma, now: Chroma, was: Brightness, is_now: Brightn
     return float(np.count_nonzero(objects)) / objects.size
 
 
-def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
+def chroma_of(color: ColorImage, markers_px: FloatArray, thin: ColorImage) -> Chroma:
     """Return red and green as shares of brightness, at each cell of the region, shape (700, 2); NaN where dark.
 
-    What the whole picture shares with others of its kind is subtracted. An infrared picture has no colour anywhere.
+    What the whole picture, by its thinned view, shares with others of its kind is subtracted. An infrared picture has
+    no colour anywhere.
     """
-    if _is_gray(color):
+    if _is_gray(thin):
         return np.full((CELL_ROWS * CELL_COLUMNS, 2), np.nan, dtype=np.float32)
     compiled = FramePath.kernels
     if compiled is None:
-        return _chroma_of(color, markers_px.astype(np.float32))
+        return _chroma_of(color, markers_px.astype(np.float32), thin)
     chroma = np.empty((CELL_ROWS * CELL_COLUMNS, 2), dtype=np.float32)
     from_region = color_from_grid(markers_px, _WARPED_PX[0] - 1.0, _WARPED_PX[1] - 1.0)
     compiled.sample_chroma(
-        np.ascontiguousarray(color), from_region, CELL_COLUMNS, PICTURE_STEP_PX, LEAST_BRIGHTNESS, chroma
+        np.ascontiguousarray(color), from_region, CELL_COLUMNS, np.ascontiguousarray(thin), LEAST_BRIGHTNESS, chroma
     )
     return chroma
 
 
-def _is_gray(color: ColorImage) -> bool:
+def _is_gray(thin: ColorImage) -> bool:
     """Whether the channels are equal nearly everywhere."""
     compiled = FramePath.kernels
     if compiled is not None:
-        return bool(compiled.is_gray(np.ascontiguousarray(color), PICTURE_STEP_PX, EQUAL, MOST_EQUAL))
-    part = color[::PICTURE_STEP_PX, ::PICTURE_STEP_PX]
-    return float((part.max(axis=2) - part.min(axis=2) <= EQUAL).mean()) > MOST_EQUAL
+        return bool(compiled.is_gray(np.ascontiguousarray(thin), EQUAL, MOST_EQUAL))
+    return float((thin.max(axis=2) - thin.min(axis=2) <= EQUAL).mean()) > MOST_EQUAL
 
 
-def _chroma_of(color: ColorImage, corners_px: FloatArray) -> Chroma:
+def _chroma_of(color: ColorImage, corners_px: FloatArray, thin: ColorImage) -> Chroma:
     """Return the same with OpenCV."""
     to_region = cv2.getPerspectiveTransform(corners_px, _CORNERS_PX)
     warped = cv2.warpPerspective(color, to_region, _WARPED_PX, flags=cv2.INTER_NEAREST)  # averaged below
     cells = cv2.resize(warped, (CELL_COLUMNS, CELL_ROWS), interpolation=cv2.INTER_AREA)
-    picture = _shares(color[PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX, PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX])
+    picture = _shares(thin)
     bright = picture[np.isfinite(picture[:, 0])]
     balance = np.median(bright, axis=0) if len(bright) else np.zeros(2, dtype=np.float32)
     return np.asarray(_shares(np.asarray(cells, dtype=np.uint8)) - balance, dtype=np.float32)

@@ -59,6 +59,7 @@ from engine.motion.cross_check.cell_surface import (
 )
 from engine.motion.cross_check.present_noise import PresentNoise
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.tracking.repeated_pictures import ThinViews
 
 AVERAGED_US = 200_000
 """Frames of this long are averaged: a fifth of a second lowers the noise by half, and a disagreement lasts longer."""
@@ -181,7 +182,9 @@ class CrossCheck:
         places = np.arange(oldest, self._gathered) % MOST_SURFACES
         return GatheredSurfaces(self._gathered_total, self._gathered_mm[places])
 
-    def observe(self, frame: RgbdFrame, found: Markers, marker_rays: FloatArray, roi: RoiDepth) -> None:
+    def observe(
+        self, frame: RgbdFrame, views: ThinViews, found: Markers, marker_rays: FloatArray, roi: RoiDepth
+    ) -> None:
         """Take what is compared of a frame whose markers were found, on these rays, shape (4, 3)."""
         recent, now_us = self._recent, frame.timestamp_us
         while recent and not 0 <= now_us - recent[0].timestamp_us <= AVERAGED_US:
@@ -190,7 +193,7 @@ class CrossCheck:
         corners_mm, in_depth_camera = _marker_places_mm(cells_mm, marker_rays, self._depth_from_color)
         scene_mm = None
         if in_depth_camera is not None:
-            scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
+            scene_mm = self._scene.follow(views.depth_mm, in_depth_camera, now_us)
         self._newest_color = (frame.color, found.centers_px)
         self.noise.add(cells_mm, now_us)
         recent.append(
@@ -198,7 +201,7 @@ class CrossCheck:
                 timestamp_us=now_us,
                 corners_mm=corners_mm,
                 cells_mm=cells_mm,
-                chroma=chroma_of(frame.color, found.centers_px),
+                chroma=chroma_of(frame.color, found.centers_px, views.color),
                 scene_mm=_UNKNOWN_MM if scene_mm is None else scene_mm,
             )
         )

@@ -17,9 +17,11 @@ import numpy.typing as npt
 from engine.core.compiled import FramePath
 from engine.core.frames import DepthImage, FloatArray
 from engine.core.geometry import Intrinsics
+from engine.motion.tracking.repeated_pictures import TILE_PX
 
 BLOCK_PX = 16
-SAMPLE_PX = 4
+SAMPLE_PX = TILE_PX
+SAMPLES = BLOCK_PX // SAMPLE_PX
 WHOLLY_SEEN = 0.99
 """Share of seen readings above which none of a block's sixteen is missing."""
 BEHIND_MM = 60.0
@@ -90,7 +92,7 @@ class StaticScene:
     """
 
     def __init__(self, camera: Intrinsics) -> None:
-        self._shape = (camera.height // BLOCK_PX, camera.width // BLOCK_PX)
+        self._shape = _blocks_in(camera.height), _blocks_in(camera.width)
         self._rays = _block_rays(camera)
         self._seen: list[FloatArray] = []
         self._began_us: int | None = None
@@ -103,11 +105,13 @@ class StaticScene:
         self._seen, self._began_us, self._reference, self._layers = [], None, None, None
         self.has_floor_moved = None
 
-    def follow(self, depth_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:
+    def follow(self, thin_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:
         """Return how the scene's depth has changed at some points [mm], as a rigid movement of the camera changes it.
 
         Parameters
         ----------
+        thin_mm
+            Every `SAMPLE_PX`-th row and column of the depth picture.
         points_mm
             The markers in the camera's frame, shape (n, 3). The scene lies behind them.
 
@@ -116,9 +120,9 @@ class StaticScene:
         FloatArray | None
             Shape (n,); None while the scene is learned, and where too little of it is seen.
         """
-        if (depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX) != self._shape:
+        if (thin_mm.shape[0] // SAMPLES, thin_mm.shape[1] // SAMPLES) != self._shape:
             return None
-        blocks_mm = _blocks_mm(depth_mm)
+        blocks_mm = _blocks_mm(thin_mm)
         if self._reference is None:
             self._learn(blocks_mm, float(points_mm[:, 2].max()), timestamp_us)
             return None
@@ -259,32 +263,36 @@ def _terms(points_mm: FloatArray) -> FloatArray:
     return np.stack([np.ones(len(points_mm)), points_mm[:, 0] / 1000.0, points_mm[:, 1] / 1000.0], axis=1)
 
 
-def _blocks_mm(depth_mm: DepthImage) -> FloatArray:
+def _blocks_mm(thin_mm: DepthImage) -> FloatArray:
     """Return the mean depth of each block [mm], row by row; NaN where a reading is missing."""
     compiled = FramePath.kernels
     if compiled is None:
-        return _mean_blocks_mm(depth_mm)
-    blocks_mm = np.empty((depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX))
-    compiled.scene_blocks(np.ascontiguousarray(depth_mm), BLOCK_PX, SAMPLE_PX, blocks_mm)
+        return _mean_blocks_mm(thin_mm)
+    blocks_mm = np.empty((thin_mm.shape[0] // SAMPLES, thin_mm.shape[1] // SAMPLES))
+    compiled.scene_blocks(np.ascontiguousarray(thin_mm), SAMPLES, blocks_mm)
     return blocks_mm.ravel()
 
 
-def _mean_blocks_mm(depth_mm: DepthImage) -> FloatArray:
+def _mean_blocks_mm(thin_mm: DepthImage) -> FloatArray:
     """Return the same with OpenCV."""
-    height, width = (size - size % BLOCK_PX for size in depth_mm.shape)
-    thin = depth_mm[SAMPLE_PX // 2 : height : SAMPLE_PX, SAMPLE_PX // 2 : width : SAMPLE_PX].astype(np.float32)
-    size = (width // BLOCK_PX, height // BLOCK_PX)
-    if 0 in size:
+    rows, columns = thin_mm.shape[0] // SAMPLES, thin_mm.shape[1] // SAMPLES
+    whole_mm = thin_mm[: rows * SAMPLES, : columns * SAMPLES].astype(np.float32)
+    if 0 in {rows, columns}:
         return np.empty(0)
-    mean_mm = cv2.resize(thin, size, interpolation=cv2.INTER_AREA).astype(np.float64)
-    seen = cv2.resize((thin > 0.0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    mean_mm = cv2.resize(whole_mm, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
+    seen = cv2.resize((whole_mm > 0.0).astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     return np.where(seen > WHOLLY_SEEN, mean_mm, np.nan).ravel()
 
 
+def _blocks_in(pixels: int) -> int:
+    """Return how many whole blocks of samples there are along a side of the picture."""
+    return -(-pixels // SAMPLE_PX) // SAMPLES
+
+
 def _block_rays(camera: Intrinsics) -> FloatArray:
-    """Return the rays of unit depth of the blocks' centres, shape (blocks, 3)."""
+    """Return the rays of unit depth of the middles of the blocks' samples, shape (blocks, 3)."""
     rows, columns = (
-        np.arange(size // BLOCK_PX) * BLOCK_PX + 0.5 * (BLOCK_PX - 1) for size in (camera.height, camera.width)
+        np.arange(_blocks_in(size)) * BLOCK_PX + 0.5 * (BLOCK_PX - SAMPLE_PX) for size in (camera.height, camera.width)
     )
     x, y = np.meshgrid(columns, rows)
     return camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))

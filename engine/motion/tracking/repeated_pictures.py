@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.compiled import FramePath
-from engine.core.frames import Lost, LostReason, RgbdFrame
+from engine.core.frames import ColorImage, DepthImage, Lost, LostReason, RgbdFrame
 from engine.core.sentences import say
 
 THINNING_PX = 16
@@ -59,7 +59,7 @@ class _Stream:
     """The last pictures of one stream.
 
     ``repeats`` counts the repeated pictures since the last new one; ``is_in_part`` is whether only tiles of the newest
-    are old.
+    are old; ``thin`` is the view of the newest that later checks read too.
     """
 
     is_depth: bool
@@ -68,6 +68,7 @@ class _Stream:
     timestamp_us: int | None = None
     repeats: int = 0
     is_in_part: bool = False
+    thin: Picture = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
 
     def check(self, picture: Picture, timestamp_us: int) -> None:
         if timestamp_us == self.timestamp_us:
@@ -76,7 +77,7 @@ class _Stream:
         earlier = self.earlier
         if earlier is None or earlier.shape != picture.shape:
             earlier = self.earlier = _Depths.of(picture.shape) if self.is_depth else _Colors.of(picture.shape)
-        seen = earlier.look(picture)
+        seen, self.thin = earlier.look(picture), earlier.thin
         is_old = bool(seen & READ) and (bool(seen & NEARLY) or self._was_seen(seen, picture))
         self.is_in_part = bool(seen & PART) and bool(seen & READ) and not is_old and earlier.has_part()
         self.picture = picture
@@ -112,6 +113,11 @@ class _Colors:
             views=np.zeros((EARLIER_PICTURES, size), dtype=np.uint8),
             view=np.zeros(size, dtype=np.uint8),
         )
+
+    @property
+    def thin(self) -> Picture:
+        """Every 16th row and column of the newest."""
+        return self.view.reshape(*[-(-side // THINNING_PX) for side in self.shape[:2]], *self.shape[2:])
 
     def look(self, picture: Picture) -> int:
         """Return what the thinned view of a picture tells."""
@@ -177,6 +183,11 @@ class _Depths:
             marks=np.zeros(tiles, dtype=np.int64),
             spare=views[0],
         )
+
+    @property
+    def thin(self) -> Picture:
+        """Every fourth row and column of the picture that is looked at."""
+        return self.spare
 
     def look(self, picture: Picture) -> int:
         """Return what the thinned view of a picture tells."""
@@ -285,11 +296,38 @@ def _slice(size: int, step: int, steps: int) -> slice:
     return slice(first, last)
 
 
+class ThinViews(NamedTuple):
+    """What later checks read of a frame's pictures, until the next frame.
+
+    Attributes
+    ----------
+    depth_mm
+        Every `TILE_PX`-th row and column of the depth picture.
+    color
+        Every `THINNING_PX`-th of the colour picture.
+    """
+
+    depth_mm: DepthImage
+    color: ColorImage
+
+    @staticmethod
+    def of(frame: RgbdFrame) -> "ThinViews":
+        """Take the views of a frame."""
+        depth_mm, color = frame.depth_mm[::TILE_PX, ::TILE_PX], frame.color[::THINNING_PX, ::THINNING_PX]
+        return ThinViews(np.ascontiguousarray(depth_mm), np.ascontiguousarray(color))
+
+
 class RepeatedPictures:
     """Compares each picture with earlier ones; owned by one thread."""
 
     def __init__(self) -> None:
         self._streams = {say("depth"): _Stream(is_depth=True), say("colour"): _Stream(is_depth=False)}
+
+    @property
+    def thin(self) -> ThinViews:
+        """The views of the frame that was checked last."""
+        depth, color = self._streams.values()
+        return ThinViews(depth.thin, color.thin)  # type: ignore[arg-type]
 
     def check(self, frame: RgbdFrame) -> Lost | None:
         """Return the loss of a frame whose depth or colour picture is old: its values are those of another moment."""

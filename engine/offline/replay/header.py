@@ -14,7 +14,7 @@ from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 15
+METHOD = 16
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 

@@ -55,7 +55,7 @@ def test_the_numpy_forms_run_inside_their_block_only():
 F32, F64 = np.float32, np.float64
 CALLS = {
     "decode_16zt": [b"\x00" * 8, np.zeros((4, 5), np.uint16)],
-    "scene_blocks": [np.zeros((32, 48), np.uint16), 16, 4, np.zeros((2, 3))],
+    "scene_blocks": [np.zeros((32, 48), np.uint16), 16, np.zeros((2, 3))],
     "least_squares": [np.eye(3, 5), np.ones(5), np.zeros(3)],
     "corner_medians": [np.ones((9, 8), F32), np.ones((9, 8), bool), 3, 2, np.zeros(4)],
     "cell_means": [
@@ -106,7 +106,14 @@ CALLS = {
     ],
     "largest_difference": [np.ones((4, 2)), np.zeros((4, 2))],
     "shift_correlations": [np.arange(5.0), np.arange(5.0), 1e-12, np.zeros(9)],
-    "sample_chroma": [np.zeros((40, 60, 3), np.uint8), np.eye(3), 4, 16, 45.0, np.zeros((8, 2), F32)],
+    "sample_chroma": [
+        np.zeros((40, 60, 3), np.uint8),
+        np.eye(3),
+        4,
+        np.zeros((5, 6, 3), np.uint8),
+        45.0,
+        np.zeros((8, 2), F32),
+    ],
     "refine_markers": [
         *(np.zeros((40, 60, 3), np.uint8), np.full((2, 2), 20.0), 3, np.arange(9), np.arange(4), np.ones((49, 6), F32)),
         *(30.0, 0.7, 1.0, 4, 0.6, 9.0, 1.5, 0.5, 0.7, 1.3, np.zeros((2, 8)), np.zeros(2, bool)),

@@ -41,7 +41,7 @@ def test_the_last_pixel_of_a_picture_is_read_alone():
         "import numpy as np\nfrom engine.core import compiled\nimport tests.support.guard_pages\n"
         "chroma = np.zeros((8, 2), np.float32)\n"
         "color = np.full((8, 16, 3), 90, np.uint8)\n"
-        "compiled.FramePath.kernels.sample_chroma(color, np.eye(3), 4, 16, 45.0, chroma)\n"
+        "compiled.FramePath.kernels.sample_chroma(color, np.eye(3), 4, color, 45.0, chroma)\n"
         "assert np.isfinite(chroma).all(), chroma\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)

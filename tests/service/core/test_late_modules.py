@@ -10,9 +10,9 @@ from service.core.late_modules import load_when_used
 
 PACKAGE = {
     "__init__.py": """
-        import threading, time
+        import threading
         loaded_by = [threading.current_thread().name]
-        time.sleep(0.2)  # another thread must not see what is not there yet
+        threading.Event().wait(0.2)  # another thread must not see what is not there yet
         from slow_library import part
         size = part.size
         """,

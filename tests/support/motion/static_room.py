@@ -34,7 +34,7 @@ def scene_mm(
     is_body = (np.abs(X - 320.0) < 130.0) & (np.abs(Y - 240.0) < 210.0)
     depth = np.where(is_body, body, moved)
     if person:
-        depth[:, :160] = 700.0
+        depth[:, :144] = 700.0  # of less than half of what is seen beside the body
     if not has_room:
         depth[~is_body] = 0.0
     noise = np.random.default_rng(seed).normal(0.0, 1.5, depth.shape) * (depth / 1000.0) ** 2

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from engine.motion.cross_check.appearance import AROUND, brightness_of, chroma_of, color_change
+from engine.motion.cross_check import appearance
+from engine.motion.cross_check.appearance import AROUND, brightness_of, color_change
 
 MARKERS_PX = np.array([[200.0, 100.0], [440.0, 110.0], [430.0, 380.0], [210.0, 370.0]])
 SKIN, SHEET = (190.0, 140.0, 120.0), (62.0, 112.0, 98.0)
@@ -20,6 +21,10 @@ def picture(*, sheet=None, gain=(1.0, 1.0, 1.0), seed=1, skin=SKIN, sheet_color=
         color[sheet, 180:460] = sheet_color
     noise = np.random.default_rng(seed).normal(0.0, 4.0, color.shape)
     return np.clip(color * gain + noise, 0.0, 255.0).astype(np.uint8)
+
+
+def chroma_of(color, markers_px):
+    return appearance.chroma_of(color, markers_px, color[::16, ::16])
 
 
 BEFORE = chroma_of(picture(), MARKERS_PX)

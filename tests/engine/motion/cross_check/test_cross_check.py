@@ -14,6 +14,7 @@ from engine.core.frames import Evidence, LostReason, Markers, RgbdFrame, RoiDept
 from engine.motion.cross_check import cell_surface
 from engine.motion.cross_check.cell_surface import learn_shapes
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
+from engine.motion.tracking.repeated_pictures import ThinViews
 from tests.support.motion.small_scene import CALIBRATION
 from tests.support.motion.static_room import CAMERA, FRAMES, STEP_US, scene_mm
 
@@ -89,7 +90,7 @@ class Session:
             depth_mm=room_mm(self.camera_mm, self.index % 4) * np.uint16(self.has_room),
             color=picture(self.color),
         )
-        self.check.observe(frame, MARKERS, MARKER_RAYS, roi)
+        self.check.observe(frame, ThinViews.of(frame), MARKERS, MARKER_RAYS, roi)
         self.index += 1
 
     def run(self, frames, *, is_reference_due=False):

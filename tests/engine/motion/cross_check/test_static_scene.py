@@ -10,7 +10,7 @@ from tests.support.motion.static_room import CAMERA, FRAMES, MARKERS_MM, RAYS_X,
 def learned(**scene):
     found = StaticScene(CAMERA)
     for number in range(FRAMES):
-        assert found.follow(scene_mm(seed=number, **scene), MARKERS_MM, number * STEP_US) is None
+        assert found.follow(scene_mm(seed=number, **scene)[::4, ::4], MARKERS_MM, number * STEP_US) is None
     return found
 
 
@@ -20,7 +20,7 @@ def scene():
 
 
 def moved_mm(scene, depth_mm):
-    return scene.follow(depth_mm, MARKERS_MM, FRAMES * STEP_US)
+    return scene.follow(depth_mm[::4, ::4], MARKERS_MM, FRAMES * STEP_US)
 
 
 def test_a_camera_that_stands_still_has_not_moved(scene):
@@ -95,13 +95,13 @@ def test_nothing_is_measured_where_the_scene_is_covered_or_was_never_seen(scene)
 def test_a_scene_that_was_hidden_at_the_reference_is_learned_when_it_is_seen():
     found = learned(has_room=False)
     known = [
-        found.follow(scene_mm(seed=number), MARKERS_MM, (FRAMES + number) * STEP_US) is not None
+        found.follow(scene_mm(seed=number)[::4, ::4], MARKERS_MM, (FRAMES + number) * STEP_US) is not None
         for number in range(2 * FRAMES)
     ]
     assert known.index(True) >= FRAMES - 1, "a whole second teaches it, as at first"
     later_us = 3 * FRAMES * STEP_US
-    assert np.abs(found.follow(scene_mm(seed=98), MARKERS_MM, later_us)).max() < 0.4
-    lowered = found.follow(scene_mm(lowered_mm=3.0, seed=99), MARKERS_MM, later_us + STEP_US)
+    assert np.abs(found.follow(scene_mm(seed=98)[::4, ::4], MARKERS_MM, later_us)).max() < 0.4
+    lowered = found.follow(scene_mm(lowered_mm=3.0, seed=99)[::4, ::4], MARKERS_MM, later_us + STEP_US)
     assert lowered == pytest.approx([-3.0] * 4, abs=0.5)
 
 
@@ -110,7 +110,7 @@ def test_a_restart_learns_the_scene_again():
     found.restart()
     lowered = scene_mm(lowered_mm=5.0, seed=97)
     for number in range(FRAMES):
-        assert found.follow(lowered, MARKERS_MM, number * STEP_US) is None
+        assert found.follow(lowered[::4, ::4], MARKERS_MM, number * STEP_US) is None
     assert np.abs(moved_mm(found, scene_mm(lowered_mm=5.0, seed=98))).max() < 0.4
 
 
