@@ -21,6 +21,8 @@ BoolArray = npt.NDArray[np.bool_]
 DepthImage = npt.NDArray[np.uint16]
 ColorImage = npt.NDArray[np.uint8]
 
+THIN_DEPTH_PX, THIN_COLOR_PX = 4, 16
+"""Steps of the rows and columns of the pictures' thinned views."""
 ROI_ROWS = 350
 ROI_COLUMNS = 200
 NODE_STEP = 25
@@ -87,6 +89,30 @@ class RgbdFrame:
     def pair_gap_us(self) -> int:
         """How far apart in time depth and colour are [us]."""
         return abs(self.timestamp_us - self.color_timestamp_us)
+
+
+class ThinViews(NamedTuple):
+    """What later checks read of a frame's pictures, until the next frame.
+
+    Attributes
+    ----------
+    depth_mm
+        Every `THIN_DEPTH_PX`-th row and column of the depth picture.
+    color
+        Every `THIN_COLOR_PX`-th of the colour picture.
+    """
+
+    depth_mm: DepthImage
+    color: ColorImage
+
+    @staticmethod
+    def of(frame: RgbdFrame) -> "ThinViews":
+        """Take the views of a frame."""
+        depth_mm, color = (
+            frame.depth_mm[::THIN_DEPTH_PX, ::THIN_DEPTH_PX],
+            frame.color[::THIN_COLOR_PX, ::THIN_COLOR_PX],
+        )
+        return ThinViews(np.ascontiguousarray(depth_mm), np.ascontiguousarray(color))
 
 
 class LostReason(enum.StrEnum):

@@ -1,12 +1,11 @@
 """Whether the surface in the region can be trusted as this patient's skin: three checks beside the motion model."""
 
 from engine.calibration.camera_calibration import Calibration
-from engine.core.frames import FloatArray, Lost, LostReason, Markers, Projection, RgbdFrame, RoiDepth
+from engine.core.frames import FloatArray, Lost, LostReason, Markers, Projection, RgbdFrame, RoiDepth, ThinViews
 from engine.core.sentences import say
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.cross_check.present_noise import FILTERED_SHARE
 from engine.motion.learning.prepared_model import PreparedModel
-from engine.motion.tracking.repeated_pictures import ThinViews
 from engine.motion.tracking.surface_continuity import MarkerLayout, ObservedSurface, SurfaceContinuity, marker_points_mm
 
 Depths = tuple[FloatArray, FloatArray]

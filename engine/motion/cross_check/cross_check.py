@@ -31,6 +31,7 @@ from engine.core.frames import (
     RgbdFrame,
     RoiDepth,
     RoomChange,
+    ThinViews,
     frozen,
 )
 from engine.core.geometry import RigidTransform
@@ -59,7 +60,6 @@ from engine.motion.cross_check.cell_surface import (
 )
 from engine.motion.cross_check.present_noise import PresentNoise
 from engine.motion.cross_check.static_scene import StaticScene
-from engine.motion.tracking.repeated_pictures import ThinViews
 
 AVERAGED_US = 200_000
 """Frames of this long are averaged: a fifth of a second lowers the noise by half, and a disagreement lasts longer."""

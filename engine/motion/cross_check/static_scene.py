@@ -15,12 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.compiled import FramePath
-from engine.core.frames import DepthImage, FloatArray
+from engine.core.frames import THIN_DEPTH_PX, DepthImage, FloatArray
 from engine.core.geometry import Intrinsics
-from engine.motion.tracking.repeated_pictures import TILE_PX
 
 BLOCK_PX = 16
-SAMPLE_PX = TILE_PX
+SAMPLE_PX = THIN_DEPTH_PX
 SAMPLES = BLOCK_PX // SAMPLE_PX
 WHOLLY_SEEN = 0.99
 """Share of seen readings above which none of a block's sixteen is missing."""

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.core.compiled import FramePath
-from engine.core.frames import ColorImage, DepthImage, Lost, LostReason, RgbdFrame
+from engine.core.frames import THIN_COLOR_PX, THIN_DEPTH_PX, Lost, LostReason, RgbdFrame, ThinViews
 from engine.core.sentences import say
 
-THINNING_PX = 16
+THINNING_PX = THIN_COLOR_PX
 """Step of the rows and columns compared first: different pictures differ there, at a hundredth of the cost."""
 
 EARLIER_PICTURES = 96
@@ -33,7 +33,7 @@ LEAST_READINGS = 200
 """Fewer readings in a thinned view do not tell a share: then only pictures that agree in every pixel are old."""
 
 TILE_ROWS, TILE_COLUMNS = 4, 4
-TILE_PX = 4
+TILE_PX = THIN_DEPTH_PX
 """Step of the rows and columns by which a tile that may be old is looked at again."""
 OLD_TILE_SHARE = 0.995
 """Share of a tile's readings that agree with an earlier picture, from which it is old: of a still wall three metres
@@ -294,27 +294,6 @@ def _slice(size: int, step: int, steps: int) -> slice:
     """Return where a tile lies along an axis in the view of every fourth pixel."""
     first, last = (-(-at * size // (steps * TILE_PX)) for at in (step, step + 1))
     return slice(first, last)
-
-
-class ThinViews(NamedTuple):
-    """What later checks read of a frame's pictures, until the next frame.
-
-    Attributes
-    ----------
-    depth_mm
-        Every `TILE_PX`-th row and column of the depth picture.
-    color
-        Every `THINNING_PX`-th of the colour picture.
-    """
-
-    depth_mm: DepthImage
-    color: ColorImage
-
-    @staticmethod
-    def of(frame: RgbdFrame) -> "ThinViews":
-        """Take the views of a frame."""
-        depth_mm, color = frame.depth_mm[::TILE_PX, ::TILE_PX], frame.color[::THINNING_PX, ::THINNING_PX]
-        return ThinViews(np.ascontiguousarray(depth_mm), np.ascontiguousarray(color))
 
 
 class RepeatedPictures:

@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.core.frames import Evidence, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.frames import Evidence, LostReason, Markers, RgbdFrame, RoiDepth, ThinViews
 from engine.motion.cross_check import cell_surface
 from engine.motion.cross_check.cell_surface import learn_shapes
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
-from engine.motion.tracking.repeated_pictures import ThinViews
 from tests.support.motion.small_scene import CALIBRATION
 from tests.support.motion.static_room import CAMERA, FRAMES, STEP_US, scene_mm
 
