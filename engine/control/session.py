@@ -152,6 +152,7 @@ class EngineSession:
             self._measurer.camera_warmed()
         unsigned = self._arming.position.interruption()
         self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
+        self._measurer.learn()
 
     def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:
         events: list[GateEvent] = []

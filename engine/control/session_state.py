@@ -28,6 +28,9 @@ class Measurer(Protocol):
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame; a frame that cannot be measured is a value (lost), an exception is a bug."""
 
+    def learn(self) -> None:
+        """Do what the decision on the last frame did not wait for."""
+
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         """Count the drift of a signal from a level that is ``by`` higher than the learned one [mm or l]."""
 

@@ -5,7 +5,7 @@ the stages are pure; model and reference belong to `engine.motion.learning.learn
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.breath import Breath, SignalChoice
@@ -44,6 +44,9 @@ from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.region_tracker import DepthTable, RegionTracker, coverage_lost
 from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from engine.motion.trust import Depths, SurfaceTrust
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
@@ -103,13 +106,6 @@ class FollowedMotion:
             self._learner.reference.move_levels(before, motion)
         return motion
 
-    def breath(self, motion: Motion, outcome: Projection, timestamp_us: int) -> tuple[Breath, ...]:
-        """Return the breath of each signal; the learner follows the first."""
-        breaths = self.breaths.follow(motion, timestamp_us)
-        if breaths:
-            self._learner.follow(outcome.coefficients, motion, breaths[0], timestamp_us)
-        return breaths
-
 
 class LearnedInPass(NamedTuple):
     """What a pass over a recording has learned: model and reference, depth of readings, shapes of breathing."""
@@ -130,6 +126,8 @@ class Pipeline:
         Host clock; stamps the end of each measurement.
     trainer
         Runs fits; a background thread by default.
+    learns_after
+        Whether `learn` is called once the gate has decided on a frame, for what the decision does not wait for.
     """
 
     def __init__(
@@ -138,6 +136,8 @@ class Pipeline:
         settings: PipelineSettings,
         clock: Clock,
         trainer: Trainer[Outcome] | None = None,
+        *,
+        learns_after: bool = False,
     ) -> None:
         keep_calls_in_their_thread()
         keep_freed_memory()
@@ -173,6 +173,8 @@ class Pipeline:
         self._followed = FollowedMotion(settings, self.learner)
         self._coefficients: FloatArray | None = None
         self._kept: tuple[RoiDepth, TrainingFrame] | None = None
+        self._learns_after = learns_after
+        self._later: Callable[[], None] | None = None
         self._projected_model: PreparedModel | None = None
         self._is_believed = True
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
@@ -216,6 +218,7 @@ class Pipeline:
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
+        self.learn()  # of the frame before, where nobody has called it
         needs = self.learner.begin_frame(frame.timestamp_us)
         found = self._find(frame)
         if isinstance(found, Lost):
@@ -257,11 +260,19 @@ class Pipeline:
         self._tracker.expect_depth(depths_mm[0])
         motion = self._followed.motion(active, outcome, depths_mm, nodes.rays, frame.timestamp_us)
         doubt = self._doubt()
-        if doubt is None:
-            if not needs.takes_lost_frames:
-                self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
-            self._keep(roi, frame.timestamp_us, nodes.pixels_px)
-        breaths = self._followed.breath(motion, outcome, frame.timestamp_us)
+        breaths = self._followed.breaths.follow(motion, frame.timestamp_us)
+
+        def later() -> None:
+            if doubt is None:
+                if not needs.takes_lost_frames:
+                    self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
+                self._keep(roi, frame.timestamp_us, nodes.pixels_px)
+            if breaths:
+                self.learner.follow(outcome.coefficients, motion, breaths[0], frame.timestamp_us)
+
+        self._later = later
+        if not self._learns_after:
+            self.learn()
         return self._measurement(
             frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths, doubt=doubt
         )
@@ -334,6 +345,12 @@ class Pipeline:
         return self._measurement(frame, MeasurementState.TRAINING, markers=found)
 
     # -- learning -----------------------------------------------------------------------------------------------
+
+    def learn(self) -> None:
+        """Do what the decision on the last frame does not wait for: keep it for a training, propose references."""
+        later, self._later = self._later, None
+        if later is not None:
+            later()
 
     def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray, needs: FrameNeeds) -> None:
         """Learn from a frame; the first one fixes the markers' layout."""

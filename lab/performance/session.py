@@ -137,7 +137,8 @@ class BenchSession:
         self._source = EndlessSource(recording, clock=self._clock)
         self._limits = recording.limits
         self._gate = Gate()
-        self.pipeline = Pipeline(load_calibration(recording.calibration), settings, self._clock, trainer)
+        calibration = load_calibration(recording.calibration)
+        self.pipeline = Pipeline(calibration, settings, self._clock, trainer, learns_after=True)
         self._source.open()
 
     def read(self) -> RgbdFrame:
@@ -149,6 +150,10 @@ class BenchSession:
         measurement = self.pipeline.measure(frame)
         self._gate = step_gate(self._gate, measurement, self._clock.now_ns(), self._limits)
         return measurement.state
+
+    def go_on(self) -> None:
+        """Do what the decision did not wait for."""
+        self.pipeline.learn()
 
     def learn(self, wait: Callable[[], object] = lambda: None) -> None:
         """Process frames until the first one is measured with a model, then arm the gate; ``wait`` follows each."""

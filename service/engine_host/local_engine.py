@@ -123,6 +123,7 @@ class LocalEngine:
             measuring,
             TappedClock(self._clock, tape.tap),
             TappedTrainer(self._trainer(), tape.tap),
+            learns_after=True,
         )
         if plan.model is not None:
             pipeline.learner.models.resume(plan.model)

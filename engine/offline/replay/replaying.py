@@ -208,6 +208,7 @@ def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
         head.measuring,
         TappedClock(clock, tap),
         TappedTrainer(InlineTrainer(), tap),
+        learns_after=True,
     )
     try:
         if head.model is not None:

@@ -227,7 +227,7 @@ def test_a_machine_that_is_fast_enough_reaches_every_mark():
 @pytest.mark.parametrize(
     ("figures", "missed"),
     [
-        (slower(whole=took(400.0, p99_us=801.0)), "frame to gate, p99 over median"),
+        (slower(to_gate=took(400.0, p99_us=801.0)), "frame to gate, p99 over median"),
         (slower(calls=251.0), "Python calls a frame"),
         (slower(calls=float("nan")), "Python calls a frame"),
         (slower(plain=took(16_000.0), whole=took(534.0)), "plain method over ours, medians"),
@@ -272,9 +272,13 @@ def test_each_mark_is_missed_by_its_own_figure_and_no_other(figures, missed):
 def test_tables_say_what_the_figures_say():
     times, others, marks = speed_tables(GOOD, reach(GOOD))
     assert times.rows[0] == ("frame to gate", 400.0, 800.0, 2400.0, 3200.0, 1000)
-    frame, decoding, fitting = [390.0, 1170.0, 16_000.0], [300.0, 900.0, 2000.0, 2000.0], [480.0, 500.0, 440.0, 450.0]
+    frame, decoding, fitting = (
+        [410.0, 390.0, 1170.0, 16_000.0],
+        [300.0, 900.0, 2000.0, 2000.0],
+        [480.0, 500.0, 440.0, 450.0],
+    )
     assert [row[1] for row in times.rows[1:]] == frame + decoding + fitting
-    for said in ("40.0 times faster than the plain", "3.00 times faster than the numpy", "25.0%"):
+    for said in ("39.0 times faster than the plain", "3.00 times faster than the numpy", "25.0%"):
         assert said in times.note
     values = [row[1] for row in others.rows]
     assert values == [

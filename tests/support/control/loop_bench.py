@@ -218,6 +218,9 @@ class RecordingPipeline:
         self.is_model_waiting = False
         self._change("apply")
 
+    def learn(self) -> None:
+        """Nothing is put off."""
+
     def camera_returned(self) -> None:
         self.has_reference = False
         self._change("camera_returned")
