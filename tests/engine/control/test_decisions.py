@@ -33,6 +33,14 @@ def test_the_line_gets_one_lease_a_frame_counted_from_when_the_frame_came():
     assert [edge.is_on for edge in bench.beam.edges] == [True, False]
 
 
+def test_a_frame_is_learned_from_once_the_line_has_its_lease():
+    bench = armed_bench([good] * 8)
+    seen = []
+    bench.pipeline.after_decision = lambda: seen.append((bench.loop.gate.last.index, len(bench.beam.permits)))
+    bench.run()
+    assert seen == [(index, max(0, index - ON_AT + 1)) for index in range(12)]
+
+
 def test_without_arming_nothing_is_permitted():
     bench = Bench([good] * 30).run()
     assert bench.beam.permits == []

@@ -52,6 +52,26 @@ def measuring(learned):
     return pipeline
 
 
+@pytest.mark.parametrize("is_asked", [True, False], ids=["asked", "with the next frame"])
+def test_a_frame_that_is_learned_from_later_gives_the_same(is_asked):
+    """The models and the proposed references are the same, a frame later."""
+    at_once = new_pipeline()
+    later = Pipeline(small_scene.CALIBRATION, SETTINGS, ManualClock(), InlineTrainer(), learns_after=True)
+    for index in range(600):
+        frame = small_scene.frame(index)
+        expected, found = at_once.measure(frame), later.measure(frame)
+        if is_asked:
+            later.learn()
+        assert found.state is expected.state
+        if expected.motion is not None:
+            assert found.motion.whole_mm == expected.motion.whole_mm
+    later.learn()
+    assert later.learner.status.model_generation == at_once.learner.status.model_generation >= 1
+    proposed, wanted = (one.learner.status.reference_proposals for one in (later, at_once))
+    assert [one.moment for one in proposed] == [one.moment for one in wanted] != []
+    assert [one.level for one in proposed] == [one.level for one in wanted]
+
+
 def test_it_trains_until_frames_time_and_cycles_are_there_then_measures():
     pipeline = new_pipeline()
     states, progress = [], []

@@ -149,6 +149,7 @@ class RecordingPipeline:
         self.zero_number = 1
         self.calls: list[str] = []
         self.trouble: Exception | None = None
+        self.after_decision: Callable[[], None] = lambda: None
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         if isinstance(self.clock, ManualClock):
@@ -219,7 +220,7 @@ class RecordingPipeline:
         self._change("apply")
 
     def learn(self) -> None:
-        """Nothing is put off."""
+        self.after_decision()
 
     def camera_returned(self) -> None:
         self.has_reference = False
