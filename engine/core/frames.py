@@ -105,15 +105,6 @@ class ThinViews(NamedTuple):
     depth_mm: DepthImage
     color: ColorImage
 
-    @staticmethod
-    def of(frame: RgbdFrame) -> "ThinViews":
-        """Take the views of a frame."""
-        depth_mm, color = (
-            frame.depth_mm[::THIN_DEPTH_PX, ::THIN_DEPTH_PX],
-            frame.color[::THIN_COLOR_PX, ::THIN_COLOR_PX],
-        )
-        return ThinViews(np.ascontiguousarray(depth_mm), np.ascontiguousarray(color))
-
 
 class LostReason(enum.StrEnum):
     """Why a frame could not be measured; the codes of `HoldReason` where both know the cause."""

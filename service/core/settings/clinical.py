@@ -110,15 +110,17 @@ class ClinicalBound:
         return f"{self.low:g} to {self.high:g}"
 
 
+def _within(low: float, high: float, reason: str) -> ClinicalBound:
+    return ClinicalBound(low=low, high=high, reason=reason)
+
+
 CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     # What a site must set: the defaults are outside.
-    "camera_latency_ms": ClinicalBound(
-        low=1.0, high=150.0, reason="measured, because 0 means unmeasured; 150 ms leave time for the rest within 500 ms"
+    "camera_latency_ms": _within(
+        1.0, 150.0, "measured, because 0 means unmeasured; 150 ms leave time for the rest within 500 ms"
     ),
-    "qa_required_daily_h": ClinicalBound(low=1.0, high=24.0, reason="TG-142 asks for daily QA"),
-    "qa_latency_max_age_days": ClinicalBound(
-        low=1.0, high=400.0, reason="TG-142, TG-302: annually, and a month to find the day"
-    ),
+    "qa_required_daily_h": _within(1.0, 24.0, "TG-142 asks for daily QA"),
+    "qa_latency_max_age_days": _within(1.0, 400.0, "TG-142, TG-302: annually, and a month to find the day"),
     "operator_timeout_s": ClinicalBound(
         low=3.0,
         high=30.0,
@@ -129,100 +131,74 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
         high=10_000.0,
         reason="three frames at 30 frames a second: no shorter visit to the window is evidence",
     ),
-    "window_lower_mm": ClinicalBound(
-        low=-20.0, high=20.0, reason="below the end of exhale lies no breath, only expiration breath holds and drift"
+    "window_lower_mm": _within(
+        -20.0, 20.0, "below the end of exhale lies no breath, only expiration breath holds and drift"
     ),
-    "window_upper_mm": ClinicalBound(
-        low=-20.0, high=40.0, reason="deep inspiration breath holds lift the chest by up to 40 mm"
-    ),
-    "max_duty_percent": ClinicalBound(
-        low=10.0, high=90.0, reason="the default: a window that the patient never leaves gates nothing"
-    ),
-    "min_off_ms": ClinicalBound(
-        low=1_000.0, high=60_000.0, reason="makers of accelerators ask for a second between beam off and beam on"
-    ),
-    "max_cycles_per_min": ClinicalBound(low=1, high=60, reason="with a second off before each, no more are possible"),
-    "min_breaths_per_min": ClinicalBound(
-        low=1.0, high=30.0, reason="makers of accelerators gate 1 to 30 breaths a minute"
-    ),
-    "max_breaths_per_min": ClinicalBound(
-        low=10.0, high=30.0, reason="makers of accelerators gate 1 to 30 breaths a minute"
-    ),
+    "window_upper_mm": _within(-20.0, 40.0, "deep inspiration breath holds lift the chest by up to 40 mm"),
+    "max_duty_percent": _within(10.0, 90.0, "the default: a window that the patient never leaves gates nothing"),
+    "min_off_ms": _within(1_000.0, 60_000.0, "makers of accelerators ask for a second between beam off and beam on"),
+    "max_cycles_per_min": _within(1, 60, "with a second off before each, no more are possible"),
+    "min_breaths_per_min": _within(1.0, 30.0, "makers of accelerators gate 1 to 30 breaths a minute"),
+    "max_breaths_per_min": _within(10.0, 30.0, "makers of accelerators gate 1 to 30 breaths a minute"),
     # Where the patient may be.
-    "max_shift_mm": ClinicalBound(
-        low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"
+    "max_shift_mm": _within(1.0, 4.0, f"{TG_302}, and 2 mm by which markers follow the breath along the couch"),
+    "max_turn_deg": _within(0.5, 2.0, "moves a point 60 mm from the centre by 2 mm (TG-302)"),
+    "max_marker_travel_mm": _within(
+        0.5, 6.0, "on skin they travel by 3 to 5 mm with the breath, as recorded markers on people do"
     ),
-    "max_turn_deg": ClinicalBound(low=0.5, high=2.0, reason="moves a point 60 mm from the centre by 2 mm (TG-302)"),
-    "max_marker_travel_mm": ClinicalBound(
-        low=0.5, high=6.0, reason="on skin they travel by 3 to 5 mm with the breath, as recorded markers on people do"
+    "max_height_mm": _within(0.5, 3.0, f"{TG_302}, and 1 mm of the estimate's own error"),
+    "max_baseline_drift_mm": _within(0.5, 2.0, TG_302),
+    "max_reference_distance_mm": _within(0.5, 2.0, TG_302),
+    "max_position_shift_mm": _within(0.5, 2.0, TG_302),
+    "max_position_turn_deg": _within(0.2, 1.0, "moves a point 115 mm from the middle by 2 mm"),
+    "max_position_shape_mm": _within(0.5, 2.0, "the default: another body differs by more"),
+    "marker_placement_mm": _within(
+        1.0, 50.0, "markers are put back on tattoos no better: a smaller one determines by assumption"
     ),
-    "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
-    "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
-    "max_reference_distance_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
-    "max_position_shift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
-    "max_position_turn_deg": ClinicalBound(low=0.2, high=1.0, reason="moves a point 115 mm from the middle by 2 mm"),
-    "max_position_shape_mm": ClinicalBound(low=0.5, high=2.0, reason="the default: another body differs by more"),
-    "marker_placement_mm": ClinicalBound(
-        low=1.0, high=50.0, reason="markers are put back on tattoos no better: a smaller one determines by assumption"
-    ),
-    "max_baseline_correction_mm": ClinicalBound(
-        low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
+    "max_baseline_correction_mm": _within(
+        0.0, 3.0, "a patient who lies further off needs a new reference, not a correction"
     ),
     # Whether a measurement counts.
-    "max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason=RESIDUAL),
-    "max_jump_mm": ClinicalBound(low=0.1, high=4.0, reason="120 mm/s at 30 frames a second: no breath is faster"),
-    "min_valid_share": ClinicalBound(
-        low=0.8, high=1.0, reason="QA warns when 10 % of the plate are missing, fails at 20 %"
-    ),
-    "min_inlier_share": ClinicalBound(low=0.6, high=1.0, reason=EVALUATED),
-    "min_signal_share": ClinicalBound(low=0.7, high=1.0, reason=EVALUATED),
-    "min_wide_share": ClinicalBound(low=0.9, high=1.0, reason=EVALUATED),
-    "warm_up_min": ClinicalBound(low=5.0, high=240.0, reason="no kind of camera was seen to be steady earlier"),
-    "max_model_age_min": ClinicalBound(low=1.0, high=240.0, reason="the default: longer than a fraction"),
-    "min_phase_confidence": ClinicalBound(
-        low=0.6, high=1.0, reason="the default: the phase is compared with the patient's breaths"
-    ),
-    "max_hold_still_mm": ClinicalBound(
-        low=0.05, high=2.0, reason="a breath that moves by more within the time of settling is not held"
-    ),
-    "max_hold_drift_mm": ClinicalBound(low=0.1, high=3.0, reason=f"{TG_302}, and 1 mm by which a held chest sinks"),
-    "min_hold_settle_ms": ClinicalBound(
-        low=500.0, high=10_000.0, reason="longer than the turn of a breath, which is still for a moment"
-    ),
-    "max_breath_hold_s": ClinicalBound(low=5.0, high=60.0, reason="breath holds in treatment last 20 to 40 s"),
+    "max_residual_mm": _within(0.1, 3.0, RESIDUAL),
+    "max_jump_mm": _within(0.1, 4.0, "120 mm/s at 30 frames a second: no breath is faster"),
+    "min_valid_share": _within(0.8, 1.0, "QA warns when 10 % of the plate are missing, fails at 20 %"),
+    "min_inlier_share": _within(0.6, 1.0, EVALUATED),
+    "min_signal_share": _within(0.7, 1.0, EVALUATED),
+    "min_wide_share": _within(0.9, 1.0, EVALUATED),
+    "warm_up_min": _within(5.0, 240.0, "no kind of camera was seen to be steady earlier"),
+    "max_model_age_min": _within(1.0, 240.0, "the default: longer than a fraction"),
+    "min_phase_confidence": _within(0.6, 1.0, "the default: the phase is compared with the patient's breaths"),
+    "max_hold_still_mm": _within(0.05, 2.0, "a breath that moves by more within the time of settling is not held"),
+    "max_hold_drift_mm": _within(0.1, 3.0, f"{TG_302}, and 1 mm by which a held chest sinks"),
+    "min_hold_settle_ms": _within(500.0, 10_000.0, "longer than the turn of a breath, which is still for a moment"),
+    "max_breath_hold_s": _within(5.0, 60.0, "breath holds in treatment last 20 to 40 s"),
     # Whether a frame is fresh.
-    "min_good_frames": ClinicalBound(
-        low=3, high=300, reason="the default: a tenth of a second of agreeing frames at 30 a second"
-    ),
-    "lease_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: gate within 100 ms"),
-    "max_frame_age_ms": ClinicalBound(low=5.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
-    "max_gap_ms": ClinicalBound(low=10.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
-    "max_lag_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
-    "watchdog_ms": ClinicalBound(
-        low=40.0, high=250.0, reason="the default and a quarter: an engine that does not decide is a fault"
-    ),
-    "max_silence_ms": ClinicalBound(low=50.0, high=500.0, reason="TG-76: 500 ms in total"),
-    "max_latency_ms": ClinicalBound(low=100.0, high=500.0, reason="TG-76: 500 ms in total"),
-    "warn_latency_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: 100 ms"),
-    "max_service_silence_ms": ClinicalBound(low=100.0, high=500.0, reason="no hold by hand arrives meanwhile"),
-    "max_clock_jump_ms": ClinicalBound(low=50.0, high=250.0, reason="the default"),
-    "min_fps": ClinicalBound(low=15.0, high=60.0, reason="a frame every 67 ms, within the 100 ms of TG-142"),
+    "min_good_frames": _within(3, 300, "the default: a tenth of a second of agreeing frames at 30 a second"),
+    "lease_ms": _within(20.0, 100.0, "TG-142: gate within 100 ms"),
+    "max_frame_age_ms": _within(5.0, 100.0, "TG-142: surrogate within 100 ms"),
+    "max_gap_ms": _within(10.0, 100.0, "TG-142: surrogate within 100 ms"),
+    "max_lag_ms": _within(20.0, 100.0, "TG-142: surrogate within 100 ms"),
+    "watchdog_ms": _within(40.0, 250.0, "the default and a quarter: an engine that does not decide is a fault"),
+    "max_silence_ms": _within(50.0, 500.0, "TG-76: 500 ms in total"),
+    "max_latency_ms": _within(100.0, 500.0, "TG-76: 500 ms in total"),
+    "warn_latency_ms": _within(20.0, 100.0, "TG-142: 100 ms"),
+    "max_service_silence_ms": _within(100.0, 500.0, "no hold by hand arrives meanwhile"),
+    "max_clock_jump_ms": _within(50.0, 250.0, "the default"),
+    "min_fps": _within(15.0, 60.0, "a frame every 67 ms, within the 100 ms of TG-142"),
     # Whether a stored model is this patient's.
-    "likeness_max_shift_mm": ClinicalBound(
-        low=1.0, high=10.0, reason="half of the default: a model is valid where it was learned"
-    ),
-    "likeness_max_tilt_deg": ClinicalBound(low=0.5, high=3.0, reason="moves a point 60 mm from the centre by 3 mm"),
-    "likeness_max_shape_mm": ClinicalBound(low=0.5, high=3.0, reason="the default"),
-    "likeness_max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason="as for every frame"),
+    "likeness_max_shift_mm": _within(1.0, 10.0, "half of the default: a model is valid where it was learned"),
+    "likeness_max_tilt_deg": _within(0.5, 3.0, "moves a point 60 mm from the centre by 3 mm"),
+    "likeness_max_shape_mm": _within(0.5, 3.0, "the default"),
+    "likeness_max_residual_mm": _within(0.1, 3.0, "as for every frame"),
     # What a model is learned from.
-    "training_min_frames": ClinicalBound(low=100, high=225, reason="the default"),
-    "training_min_cycles": ClinicalBound(low=3, high=50, reason="the default: one breath is no pattern"),
-    "training_min_seconds": ClinicalBound(low=10.0, high=300.0, reason="the default: three breaths of 3 s"),
-    "training_max_seconds": ClinicalBound(low=10.0, high=120.0, reason="no shorter than is needed at least"),
+    "training_min_frames": _within(100, 225, "the default"),
+    "training_min_cycles": _within(3, 50, "the default: one breath is no pattern"),
+    "training_min_seconds": _within(10.0, 300.0, "the default: three breaths of 3 s"),
+    "training_max_seconds": _within(10.0, 120.0, "no shorter than is needed at least"),
     # Whether the beam line follows.
-    "beam_without_permit_ms": ClinicalBound(low=20.0, high=250.0, reason="the default, above the accelerator's delay"),
-    "beam_absent_s": ClinicalBound(low=1.0, high=30.0, reason="a beam that is not delivered for longer is looked at"),
-    "min_free_disk_mb": ClinicalBound(low=100.0, high=1_000_000.0, reason="an hour's samples"),
+    "beam_without_permit_ms": _within(20.0, 250.0, "the default, above the accelerator's delay"),
+    "beam_absent_s": _within(1.0, 30.0, "a beam that is not delivered for longer is looked at"),
+    "min_free_disk_mb": _within(100.0, 1_000_000.0, "an hour's samples"),
 }
 """The bounds of clinical mode, by setting; `EXEMPT` names every other number, and why it needs none."""
 
