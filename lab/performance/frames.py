@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from engine.calibration.camera_calibration import load_calibration
@@ -78,6 +79,46 @@ class PlainSession:
             self._reading.model.reconstruct(measured.beta)
 
 
+class OdometryPeer:
+    """OpenCV's RGB-D odometry from a first frame to each later one, of depth in the middle of the picture.
+
+    What a user would write who has a library of RGB-D functions and not this program: a rigid movement, no breathing.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._source = EndlessSource(recording)
+        self._source.open()
+        camera = load_calibration(recording.calibration).depth
+        settings = cv2.OdometrySettings()
+        settings.setCameraMatrix(camera.matrix.astype(np.float32))
+        self._odometry = cv2.Odometry(cv2.OdometryType_DEPTH, settings, cv2.OdometryAlgoType_COMMON)
+        self._first = self._taken(self._source.read(READ_TIMEOUT_S))
+
+    def block(self, frames: int) -> FloatArray:
+        """Return the durations of ``frames`` frames [ns], shape (frames,)."""
+        durations_ns = np.empty(frames)
+        for number in range(frames):
+            frame = self._source.read(READ_TIMEOUT_S)
+            started = time.perf_counter_ns()
+            taken = self._taken(frame)
+            self._odometry.prepareFrames(self._first, taken)
+            self._odometry.compute(self._first, taken)
+            durations_ns[number] = time.perf_counter_ns() - started
+        return durations_ns
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._source.close()
+
+    @staticmethod
+    def _taken(frame: RgbdFrame) -> cv2.OdometryFrame:
+        depth_m = np.where(frame.depth_mm > 0, frame.depth_mm / np.float32(1000.0), np.float32(np.nan))
+        rows, columns = frame.depth_mm.shape
+        mask = np.zeros((rows, columns), dtype=np.uint8)
+        mask[rows // 4 : -(rows // 4), columns // 4 : -(columns // 4)] = 255
+        return cv2.OdometryFrame(depth_m.astype(np.float32), np.ascontiguousarray(frame.color), mask)
+
+
 # Times the decoding of depth and colour pictures from a recording.
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureCost:
@@ -116,6 +157,7 @@ class FrameSizes:
     block_frames: int
     plain_frames: int
     decoded: int
+    peer_frames: int = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +174,8 @@ class FrameCosts:
         Processor time with the numpy forms of the compiled functions, in blocks between; equal where none is compiled.
     plain
         The plain method, from decoded pictures to a surface of the region.
+    peer
+        OpenCV's RGB-D odometry.
     lost_core_share
         Share of the timed span in which other processes used the core, 0 to 1.
     calls
@@ -143,6 +187,7 @@ class FrameCosts:
     whole_cpu: Timing
     numpy_cpu: Timing
     plain: Timing
+    peer: Timing
     decoding: tuple[PictureCost, ...]
     numpy_decoding: tuple[PictureCost, ...]
     lost_core_share: float
@@ -176,6 +221,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
     ours.learn()
     plain = PlainSession(recording)
     plain.learn()
+    peer = OdometryPeer(recording)
     set_memory_aside()
     _warm_up(ours, sizes.block_frames)
     gate_blocks, wall_blocks, cpu_blocks, numpy_blocks, plain_blocks = [], [], [], [], []
@@ -188,6 +234,8 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
         with numpy_forms():
             numpy_blocks.append(_whole_block(ours, sizes.block_frames)[2])
         plain_blocks.append(plain.block(sizes.plain_frames))
+    peer_ns = peer.block(sizes.peer_frames)
+    peer.close()
     calls = calls_a_frame(ours, COUNTED_FRAMES)
     ours.close()
     plain.close()
@@ -199,6 +247,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
         whole_cpu=timing_of(cpu_blocks),
         numpy_cpu=timing_of(numpy_blocks),
         plain=timing_of(plain_blocks),
+        peer=timing_of([peer_ns]),
         decoding=time_decoding(recording, sizes.decoded),
         numpy_decoding=numpy_decoding,
         calls=calls,

@@ -129,6 +129,7 @@ def _times(figures: SpeedFigures) -> Table:
         ("the same, processor time", frames.whole_cpu),
         ("the same with the numpy forms", frames.numpy_cpu),
         ("plain method of the article", frames.plain),
+        ("OpenCV's RGB-D odometry of the region", frames.peer),
     ]
     for ours, numpys in zip(frames.decoding, frames.numpy_decoding, strict=True):
         timings += [(f"decode {ours.name}", ours.timing), ("the same with the numpy forms", numpys.timing)]

@@ -141,9 +141,11 @@ def test_a_recording_begins_again_while_numbers_and_times_go_on(lit_volunteer):
 
 def test_frames_pictures_and_the_plain_method_are_timed(lit_volunteer):
     costs = time_frames(
-        lit(lit_volunteer), FrameSizes(blocks=1, block_frames=20, plain_frames=2, decoded=3), switch_interval_s=0.005
+        lit(lit_volunteer),
+        FrameSizes(blocks=1, block_frames=20, plain_frames=2, decoded=3, peer_frames=1),
+        switch_interval_s=0.005,
     )
-    assert (costs.whole.samples, costs.plain.samples) == (20, 2)
+    assert (costs.whole.samples, costs.plain.samples, costs.peer.samples) == (20, 2, 1)
     assert [picture.timing.samples for picture in costs.decoding] == [3, 3]
 
 
@@ -273,7 +275,7 @@ def test_tables_say_what_the_figures_say():
     times, others, marks = speed_tables(GOOD, reach(GOOD))
     assert times.rows[0] == ("frame to gate", 400.0, 800.0, 2400.0, 3200.0, 1000)
     frame, decoding, fitting = (
-        [410.0, 390.0, 1170.0, 16_000.0],
+        [410.0, 390.0, 1170.0, 16_000.0, 200_000.0],
         [300.0, 900.0, 2000.0, 2000.0],
         [480.0, 500.0, 440.0, 450.0],
     )

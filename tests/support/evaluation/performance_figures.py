@@ -9,7 +9,7 @@ from lab.performance.results import SpeedFigures, SpeedSizes
 from lab.performance.throughput import CommandRun, FitCost, FitSizes, FramesWhileFitting, Throughput
 
 TINY = SpeedSizes(
-    frames=FrameSizes(blocks=2, block_frames=15, plain_frames=3, decoded=5),
+    frames=FrameSizes(blocks=2, block_frames=15, plain_frames=3, decoded=5, peer_frames=1),
     fit=FitSizes(frames=60, fits=1, quiet_frames=6),
     memory=MemorySizes(session_s=14.0, warm_s=7.0, retrain_s=10.0),
     measure_runs=1,
@@ -31,6 +31,7 @@ FRAMES = FrameCosts(
     whole_cpu=took(390.0),
     numpy_cpu=took(1170.0),
     plain=took(16_000.0, p99_us=15_000.0),
+    peer=took(200_000.0),
     decoding=(
         PictureCost(name="depth, 16zT", timing=took(300.0)),
         PictureCost(name="colour, JPEG", timing=took(2000.0)),
