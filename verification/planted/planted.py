@@ -156,7 +156,7 @@ PLANTED: tuple[Planted, ...] = (
     Planted(
         what="the second estimate always claims to compare the colour",
         file=_CROSS,
-        old="color=colored >= LEAST_COLORED",
+        old="color=color.colored_share >= LEAST_COLORED",
         new="color=True",
         test=f"{_CROSS_TEST}::test_the_colour_is_compared_where_half_of_the_region_has_one",
     ),
