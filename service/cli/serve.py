@@ -97,11 +97,13 @@ def _run(settings: "Settings") -> None:
         start_log.info("plug-in %s of %s", plug_in.name, plug_in.label)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _raise_file_limit()
+    gc.disable()  # until all is loaded: a seventh of the start went into looking through what stays
     # Before the web server's imports, which take as long as those of the engine's process: they run side by side.
     engine = ProcessEngine(settings)
     try:
         _serve(settings, engine)
     finally:
+        gc.enable()
         engine.close()
 
 
@@ -179,6 +181,7 @@ def _exclude_from_garbage_collection() -> None:
     """Exclude the objects that exist now: collecting among them stops every thread for the time of a frame."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 def _refuse_taken_port(settings: "Settings") -> None:

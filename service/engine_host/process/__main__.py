@@ -1,5 +1,6 @@
 """``python -m service.engine_host.process BULK CONTROL PAGE``: an engine process; only the service starts it."""
 
+import gc
 import logging
 import os
 import signal
@@ -17,6 +18,7 @@ def main() -> None:
     end_with_the_service()
     from service.core.late_modules import load_when_used
 
+    gc.disable()  # until everything is loaded
     load_when_used("cv2")  # the pipeline of a session loads it, before the first frame
     from service.engine_host.process.channels import ChannelClosedError
     from service.engine_host.process.engine_server import open_channels, serve_one_session

@@ -329,6 +329,7 @@ def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPa
     adapter = LocalEngine(settings, measuring=prepare.measuring, trainer=ProcessTrainer)
     gc.collect()
     gc.freeze()
+    gc.enable()
     bulk.send(Ready())
     adapter.stand_by()
     request = _await_open(adapter, bulk)
