@@ -21,6 +21,15 @@ class _LateModule(ModuleType):
 
     def __getattr__(self, name: str) -> object:
         """Load the module, and return one of its names."""
+        self.load()
+        if name in self.__dict__:  # also where another thread has just loaded it
+            found: object = self.__dict__[name]
+            return found
+        msg = f"module {self.__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+
+    def load(self) -> None:
+        """Run the module's code, unless it has run or runs in this thread."""
         with _loading:
             spec = self.__spec__
             if self.__dict__["__is_late__"] and spec is not None and spec.loader is not None:
@@ -34,11 +43,6 @@ class _LateModule(ModuleType):
                     raise
                 for work in _afterwards.pop(self.__name__, ()):
                     work()
-            if name in self.__dict__:  # also where another thread has just loaded it
-                found: object = self.__dict__[name]
-                return found
-        msg = f"module {self.__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
 
 
 def load_when_used(*names: str) -> None:
@@ -66,6 +70,16 @@ def load_when_used(*names: str) -> None:
         sys.modules[name] = module
         if parent is not None:
             setattr(parent, part, module)
+
+
+def load_now() -> None:
+    """Load what is still to be loaded, before a session: loaded in one, a library may keep this process from answering.
+
+    The interpreter's lock is held while a library of tens of megabytes is mapped, from a slow disk for a second.
+    """
+    for module in list(sys.modules.values()):
+        if isinstance(module, _LateModule):
+            module.load()
 
 
 def when_loaded(name: str, work: Callable[[], object]) -> None:

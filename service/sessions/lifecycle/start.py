@@ -16,6 +16,7 @@ from engine.core.motion_model import MAX_TEXT, ModelOrigin, MotionModel, check_p
 from engine.core.reference import read_first_reference
 from engine.core.sentences import say
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
+from service.core.late_modules import load_now
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
@@ -102,6 +103,7 @@ class SessionStarter:
     def start(self, session_id: str, operator: str, action: str) -> RunningSession:
         """Record the start, then start the engine, disarmed, and the writer; raise what kept it from starting."""
         self._refuse_unless_created(session_id)
+        load_now()
         with self.journals.begun(session_id) as journal:  # before the session is recorded as running
             plan = replace(self._begin(session_id, operator, action), journal=journal)
             try:

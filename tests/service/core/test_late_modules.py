@@ -87,6 +87,17 @@ def test_what_is_to_be_done_then_is_done_once_and_at_once_where_it_is_loaded(lib
     assert library(program) == ["before", "loaded", "now"]
 
 
+def test_before_a_session_all_is_loaded(library):
+    program = """
+        from service.core.late_modules import load_now
+        load_now()
+        print(is_loaded())
+        load_now()
+        print(len(slow_library.loaded_by))
+        """
+    assert library(program) == ["True", "1"]
+
+
 def test_a_library_that_is_not_installed_is_named():
     with pytest.raises(ModuleNotFoundError) as raised:
         load_when_used("no_such_library")

@@ -28,7 +28,8 @@ class PacedPipeline(RecordingPipeline):
         self.calls.append("activate")
 
 
-def _pipeline(_calibration, _measuring, clock, _trainer):
+def _pipeline(_calibration, _measuring, clock, _trainer, *, learns_after):
+    assert learns_after, "a frame is learned from once the gate has decided"
     return PacedPipeline(clock)
 
 

@@ -8,6 +8,7 @@ from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.protocols import SessionPlan
+from service.sessions.lifecycle import start
 from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, act, audit_rows, make_calibration, make_session_body, upload
@@ -57,3 +58,11 @@ def test_a_session_states_of_its_beam_what_is_so_when_it_starts(client, session_
     engine.is_simulated_beam = is_simulated
     assert act(client, session_id, "start").json()["is_simulated_beam"] is is_simulated
     assert client.get(f"/api/v1/sessions/{session_id}").json()["is_simulated_beam"] is is_simulated
+
+
+def test_a_library_that_is_loaded_when_used_is_there_before_a_session_runs(client, session_id, engine, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(start, "load_now", lambda: loaded.append(engine.opened[:]))
+    assert act(client, session_id, "start").status_code == 200
+    assert loaded == [[]]
+    assert len(engine.opened) == 1
