@@ -27,6 +27,7 @@ from tests.support.browser.tab import Tab
 from tests.support.service.accounts import PASSWORD, SOMEBODY
 from tests.support.service.tls_fronts import FRONTS, Front, fronted
 from tests.support.stream.stream_server import messages, next_of
+from tests.support.stream.tls_socket import TlsSocket
 from tests.support.waiting import PATIENCE_S, eventually
 
 pytestmark = [pytest.mark.browser, pytest.mark.waiting]
@@ -123,9 +124,7 @@ def test_a_program_with_the_client_reads_calls_and_follows(front: Front):
 
 def test_a_websocket_gets_every_sample(front: Front):
     url = f"wss://127.0.0.1:{front.port}/api/v1/live"
-    with connect(
-        url, additional_headers=front.client.key_headers, ssl=front.trusted, max_queue=None, open_timeout=PATIENCE_S
-    ) as socket:
+    with TlsSocket(url, front.client.key_headers, front.trusted) as socket:
         check_stream(enough(messages(socket)))
 
 
@@ -146,7 +145,7 @@ def test_a_slow_reader_is_reported_what_it_missed_and_goes_on_with_the_newest(fr
     slow = front.slow_reader("/api/v1/live/events")
     front.await_rise("tidegate_live_skipped_total", 30)
     url = f"wss://127.0.0.1:{front.port}/api/v1/live?form=thin"
-    with connect(url, additional_headers=front.client.key_headers, ssl=front.trusted, open_timeout=PATIENCE_S) as other:
+    with TlsSocket(url, front.client.key_headers, front.trusted) as other:
         newest = next(one["frame_index"] for one in messages(other) if one["type"] == "sample")
     answer = http.client.HTTPResponse(slow)
     answer.begin()

@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import pyarrow as pa
 import pytest
-from websockets.sync.client import connect
 
 from service.web.connections.http_protocol import BoundedHttp
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.service.api_calls import act, make_calibration, make_session_body, upload
 from tests.support.service.processes import free_port, service_process
 from tests.support.stream.stream_server import Served, messages, next_of, read_until, served
+from tests.support.stream.tls_socket import TlsSocket
 from tests.support.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.waiting
@@ -83,7 +83,7 @@ def taken(found):
 def test_a_websocket_over_tls_gets_every_sample_of_a_running_session(process):
     client, session_id = process
     url = f"wss://127.0.0.1:{client.base_url.port}/api/v1/live"
-    with connect(url, additional_headers=client.key_headers, ssl=client.trusted, open_timeout=PATIENCE_S) as socket:
+    with TlsSocket(url, client.key_headers, client.trusted) as socket:
         check_stream(list(taken(messages(socket))), session_id)
 
 

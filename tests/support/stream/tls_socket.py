@@ -1,0 +1,47 @@
+"""A WebSocket client over TLS that reads and writes in one thread.
+
+The synchronous client of `websockets` reads in a thread while another writes, on one connection of OpenSSL, which is
+not made for that: now and then a request is lost, and the service rightly answers 408 to its silence.
+"""
+
+import asyncio
+import ssl
+from collections.abc import Mapping
+from types import TracebackType
+
+from websockets.asyncio.client import connect
+
+from tests.support.waiting import PATIENCE_S
+
+
+class TlsSocket:
+    """A connection; it reads only while `recv` waits."""
+
+    def __init__(self, url: str, headers: Mapping[str, str], trusted: ssl.SSLContext) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._url, self._headers, self._trusted = url, headers, trusted
+
+    def __enter__(self) -> "TlsSocket":
+        """Connect."""
+        self._socket = self._loop.run_until_complete(self._connected())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close the connection."""
+        self._loop.run_until_complete(self._socket.close())
+        self._loop.close()
+
+    async def _connected(self):
+        return await connect(
+            self._url,
+            additional_headers=self._headers,
+            ssl=self._trusted,
+            max_queue=None,
+            open_timeout=PATIENCE_S,
+        )
+
+    def recv(self, timeout: float) -> str | bytes:
+        """Return the next message; raise TimeoutError where none comes in time [s]."""
+        return self._loop.run_until_complete(asyncio.wait_for(self._socket.recv(), timeout))
