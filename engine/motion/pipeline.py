@@ -218,7 +218,7 @@ class Pipeline:
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
-        self.learn()  # of the frame before, where nobody has called it
+        self.learn()  # work of the last frame that the caller left pending
         needs = self.learner.begin_frame(frame.timestamp_us)
         found = self._find(frame)
         if isinstance(found, Lost):

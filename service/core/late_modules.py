@@ -66,7 +66,7 @@ def load_when_used(*names: str) -> None:
             raise ModuleNotFoundError(name=name)
         module = _LateModule(name)
         module.__dict__.update(importlib.util.module_from_spec(spec).__dict__, __is_late__=True)
-        module.__dict__.pop("__path__", None)  # whoever imports a part of it loads it first
+        module.__dict__.pop("__path__", None)  # an import of a submodule then loads the library first
         sys.modules[name] = module
         if parent is not None:
             setattr(parent, part, module)

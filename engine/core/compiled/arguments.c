@@ -113,6 +113,15 @@ void require(Arrays *arrays, int holds, const char *what)
     arrays->failed = 1;
 }
 
+int are_indices(const Py_buffer *view, Py_ssize_t end)
+{
+    const int64_t *at = view->buf;
+    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
+        if (at[i] < 0 || at[i] >= end)
+            return 0;
+    return 1;
+}
+
 int counted(Py_ssize_t given, Py_ssize_t wanted, const char *name)
 {
     if (given == wanted)

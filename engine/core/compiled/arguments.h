@@ -40,6 +40,8 @@ Py_ssize_t whole_of(Arrays *arrays, PyObject *object, const char *name, Py_ssize
 double number_of(Arrays *arrays, PyObject *object, const char *name);
 /* Raise ValueError unless a condition holds. */
 void require(Arrays *arrays, int holds, const char *what);
+/* Whether all of an array's items 'q' are from 0 to before `end`. */
+int are_indices(const Py_buffer *view, Py_ssize_t end);
 /* Raise TypeError unless there are so many arguments; 0 then. */
 int counted(Py_ssize_t given, Py_ssize_t wanted, const char *name);
 /* Release all arrays; return a new reference to `result`, or NULL if something failed. */

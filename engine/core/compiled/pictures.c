@@ -123,15 +123,6 @@ static int is_disc(const double *found, const Disc *disc)
            fill >= disc->min_fill && fill <= disc->max_fill;
 }
 
-static int are_indices(const Py_buffer *view, Py_ssize_t end)
-{
-    const int64_t *at = view->buf;
-    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
-        if (at[i] < 0 || at[i] >= end)
-            return 0;
-    return 1;
-}
-
 PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;

@@ -144,15 +144,6 @@ static double layer_change(const double *blocks, const int64_t *places, const do
     return count && (double)count >= plane->least_inliers * (double)n ? select_kth(inliers, count, count / 2) : (double)NAN;
 }
 
-static int are_places(const Py_buffer *view, Py_ssize_t end)
-{
-    const int64_t *at = view->buf;
-    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
-        if (at[i] < 0 || at[i] >= end)
-            return 0;
-    return 1;
-}
-
 /* How the picked blocks have moved, as a plane, at some points, and how a layer has moved as a whole [mm]. False with too
  * few blocks for the plane, None where the numpy form has to judge. */
 PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -183,7 +174,7 @@ PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t cou
     require(&arrays, points->shape[1] == 3 && moved->shape[0] == points->shape[0] + 1,
             "moved_mm must be one a point, and one of the layer");
     if (!arrays.failed)
-        require(&arrays, are_places(picked, blocks->shape[0]) && are_places(layer, blocks->shape[0]),
+        require(&arrays, are_indices(picked, blocks->shape[0]) && are_indices(layer, blocks->shape[0]),
                 "picked and layer must be of the blocks");
     size_t scratch = (size_t)(3 * n + of_layer + 1);
     double *change = arrays.failed ? NULL : PyMem_Malloc(scratch * sizeof *change), answer[3];

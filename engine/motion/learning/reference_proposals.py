@@ -81,9 +81,6 @@ class ReferenceProposals:
             moment: deque(maxlen=MOST_BREATHS) for moment in (ReferenceMoment.END_EXHALE, ReferenceMoment.END_INHALE)
         }
         self._exhale_us: int | None = None
-        self._breath_us: tuple[int | None, int] | None = (
-            None  # the ends of exhale of a breath whose inhale is to be added
-        )
         self._signal: SignalChoice | None = None
         self._alike = 0.0
         self._is_changed = False
@@ -91,11 +88,11 @@ class ReferenceProposals:
 
     def restart_breaths(self) -> None:
         """Expect another breathing monitor from now on: it does not know the last end of exhale yet."""
-        self._exhale_us, self._breath_us, self._is_changed = None, None, True
+        self._exhale_us, self._is_changed = None, True
 
     def clear(self) -> None:
         """Forget all positions: the patient or the camera may be elsewhere."""
-        self._is_changed, self._breath_us = True, None
+        self._is_changed = True
         self._frames.clear()
         for positions in self._positions.values():
             positions.clear()
@@ -133,19 +130,20 @@ class ReferenceProposals:
         self._alike = max(LEAST_ALIKE_MM * breath.signal.per_mm, ALIKE_SHARE * (breath.amplitude or 0.0))
         exhale_us, before_us = breath.exhale_us, self._exhale_us
         if exhale_us != before_us:
-            self._exhale_us, self._breath_us = exhale_us, None
+            self._is_changed, self._exhale_us = True, exhale_us
             if exhale_us is None or (before_us is not None and exhale_us < before_us):
-                self._is_changed = True
                 self._withdraw(exhale_us)
             else:
-                self._add(ReferenceMoment.END_EXHALE, active, exhale_us, motion)
-                self._breath_us = (before_us, exhale_us)
-        elif self._breath_us is not None:  # the rest of it one frame later: a frame has little time
-            inhale_us, self._breath_us, self._is_changed = self._inhale_us(*self._breath_us), None, True
-            if inhale_us is not None:
-                self._add(ReferenceMoment.END_INHALE, active, inhale_us, motion)
+                self._add_breath(active, before_us, exhale_us, motion)
         is_changed, self._is_changed = self._is_changed, False
         return is_changed
+
+    def _add_breath(self, active: PreparedModel, before_us: int | None, exhale_us: int, motion: Motion) -> None:
+        """Add the end of exhale, and the end of inhale before it."""
+        self._add(ReferenceMoment.END_EXHALE, active, exhale_us, motion)
+        inhale_us = None if before_us is None else self._inhale_us(before_us, exhale_us)
+        if inhale_us is not None:
+            self._add(ReferenceMoment.END_INHALE, active, inhale_us, motion)
 
     def _keep(
         self, active: PreparedModel, coefficients: FloatArray, motion: Motion, signal: SignalChoice, timestamp_us: int
@@ -167,10 +165,8 @@ class ReferenceProposals:
         while frames and timestamp_us - frames[0].timestamp_us > KEPT_US:
             frames.popleft()
 
-    def _inhale_us(self, before_us: int | None, exhale_us: int) -> int | None:
+    def _inhale_us(self, before_us: int, exhale_us: int) -> int | None:
         """Return when the signal was highest between two ends of exhale; None if the breath is not kept whole."""
-        if before_us is None:
-            return None
         inhaled = [one for one in self._frames if before_us < one.timestamp_us < exhale_us]
         if not inhaled or inhaled[0].timestamp_us - before_us > AVERAGED_US:
             return None

@@ -160,3 +160,8 @@ def test_a_row_needs_the_row_it_belongs_to(database):
     fill(database)
     with pytest.raises(IntegrityError, match=r"(?i)foreign key"), database.write() as db:
         db.execute(text("UPDATE sessions SET calibration_id = 'absent'"))
+
+
+def test_the_names_of_the_files_are_the_revisions_in_alembic_s_order():
+    """A start compares the names alone, and does not load Alembic."""
+    assert migrations._revisions() == [script.revision for script in migrations._scripts()]
