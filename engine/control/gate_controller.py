@@ -20,7 +20,7 @@ from engine.core.frames import LostReason, Measurement, MeasurementState, RoomCh
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.replacing import replace
 from engine.core.sentences import listed, say
-from engine.core.signals import Ranges, signal_of
+from engine.core.signals import Ranges
 from engine.gating.active_window import SetWindow, window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
@@ -234,7 +234,7 @@ class GateController:
         measurement = self._records.newest_measurement
         level = math.nan
         if measurement is not None and measurement.motion is not None:
-            level = signal_of(choice, measurement.motion)
+            level = choice.value_in(measurement.motion)
         return level if math.isfinite(level) else None
 
     def _step(self, gate: Gate, event: GateEvent, decided_ns: int) -> Gate:

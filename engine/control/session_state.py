@@ -15,7 +15,7 @@ from engine.core.frames import Measurement, RgbdFrame
 from engine.core.learning_status import LearningEvent, LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.reference import ReferenceDistance, ReferenceMoment
-from engine.core.signals import LearnedLevels, Ranges, signal_of
+from engine.core.signals import LearnedLevels, Ranges
 from engine.gating.active_window import ActiveWindow, SetWindow, WindowChange, checked_change, refuse_wide
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.limits import GateLimits
@@ -162,7 +162,7 @@ class SessionLimits:
         """Whether every signal of the window was measured."""
         motion = measurement.motion
         choices = self.current.window.choices
-        return motion is not None and all(math.isfinite(signal_of(choice, motion)) for choice in choices)
+        return motion is not None and all(math.isfinite(choice.value_in(motion)) for choice in choices)
 
     def unseen_signal(self, measurement: Measurement) -> str | None:
         """Return which signal of the window the frame shows too little of; None if none, or nothing was measured."""
@@ -173,7 +173,7 @@ class SessionLimits:
         choice = self.current.window.choices[0]
         if measurement.motion is None or choice.is_volume:
             return None
-        signal_mm = signal_of(choice, measurement.motion)
+        signal_mm = choice.value_in(measurement.motion)
         return signal_mm if math.isfinite(signal_mm) else None
 
 

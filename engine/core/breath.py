@@ -4,10 +4,18 @@ In core because a measurement contains them; :mod:`engine.motion.breathing` comp
 """
 
 import enum
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
+from operator import attrgetter
+from typing import TYPE_CHECKING
 
 from engine.core.errors import InvalidValueError
 from engine.core.sentences import say
+
+if TYPE_CHECKING:
+    from engine.core.frames import FloatArray, Motion, SeenShares
 
 LITRES_PER_MM = 0.1
 """Volume that counts as a millimetre where a bound is given in mm: a region of 350 mm by 300 mm that rises by 1 mm."""
@@ -25,7 +33,28 @@ class GateSignal(enum.StrEnum):
     VOLUME = "volume"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+_IN_MOTION = {
+    GateSignal.WHOLE: "whole_mm",
+    GateSignal.THORAX: "thorax_mm",
+    GateSignal.ABDOMEN: "abdomen_mm",
+    GateSignal.VOLUME: "volume_l",
+    GateSignal.REGION: "regions_mm",
+    GateSignal.POINT: "points_mm",
+    GateSignal.NAMED: "named_mm",
+}
+_IN_SEEN = {
+    GateSignal.WHOLE: "whole",
+    GateSignal.THORAX: "thorax",
+    GateSignal.ABDOMEN: "abdomen",
+    GateSignal.VOLUME: "whole",
+    GateSignal.REGION: "cells",
+    GateSignal.POINT: "points",
+    GateSignal.NAMED: "named",
+}
+_PARTS = {GateSignal.REGION, GateSignal.POINT, GateSignal.NAMED}
+
+
+@dataclass(frozen=True, kw_only=True)
 class SignalChoice:
     """One signal of a measurement.
 
@@ -58,20 +87,41 @@ class SignalChoice:
         if has_name != (self.signal is GateSignal.NAMED):
             raise InvalidValueError("name", self.name, "given for signal named, and for no other")
 
-    @property
+    @cached_property
     def is_volume(self) -> bool:
         """Whether its values are litres, not millimetres."""
         return self.signal is GateSignal.VOLUME
 
-    @property
+    @cached_property
     def unit(self) -> str:
         """Unit of its values, for display."""
         return "l" if self.is_volume else "mm"
 
-    @property
+    @cached_property
     def per_mm(self) -> float:
         """What of its unit counts as a millimetre."""
         return LITRES_PER_MM if self.is_volume else 1.0
+
+    @cached_property
+    def is_wide(self) -> bool:
+        """Whether it is of a large part of the region: the whole, a half, or the volume."""
+        return self.signal not in _PARTS
+
+    @cached_property
+    def value_in(self) -> "Callable[[Motion], float]":
+        """Its value in a motion [mm, l of the volume]; NaN where that has no such cell, point or region."""
+        return self._read(_IN_MOTION)
+
+    @cached_property
+    def seen_in(self) -> "Callable[[SeenShares], float]":
+        """The share of its area that was seen, 0 to 1; NaN where it is unknown."""
+        return self._read(_IN_SEEN)
+
+    def _read(self, names: dict[GateSignal, str]) -> "Callable[[object], float]":
+        get = attrgetter(names[GateSignal(self.signal)])
+        if self.signal is GateSignal.REGION:
+            return partial(_at_cell, get, self.row, self.column)
+        return get if self.is_wide else partial(_at_index, get, self.index)
 
     @property
     def label(self) -> str:
@@ -79,6 +129,19 @@ class SignalChoice:
         if self.signal in {GateSignal.REGION, GateSignal.POINT}:
             return f"{self.signal} {self.row},{self.column}"
         return self.name or self.signal
+
+
+def _at_cell(get: "Callable[[object], FloatArray]", row: int | None, column: int | None, of: object) -> float:
+    cells = get(of)
+    rows, columns = cells.shape
+    if row is None or column is None or row >= rows or column >= columns:
+        return math.nan
+    return float(cells[row, column])
+
+
+def _at_index(get: Callable[[object], Sequence[float]], index: int, of: object) -> float:
+    values = get(of)
+    return float(values[index]) if index < len(values) else math.nan
 
 
 WHOLE = SignalChoice()

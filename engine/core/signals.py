@@ -1,4 +1,4 @@
-"""Choice of a signal: its value in a measurement, how much of it was seen, the check of its place, and its range.
+"""Choice of a signal: the check of its place, and its range.
 
 The head direction is the side of the camera's picture at which the patient's head lies. The markers alone do not show
 where the head is: with the wrong side, thorax and abdomen, and the patient's right and left, are exchanged. Only the
@@ -8,28 +8,16 @@ A range is what a signal was while the motion model was trained: per cent refer 
 """
 
 import enum
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 
 from engine.core.bounds import check_whole_number
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Motion, SeenShares
+from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
 
-_WIDE_MM: "dict[str, attrgetter[float]]" = {
-    GateSignal.WHOLE: attrgetter("whole_mm"),
-    GateSignal.THORAX: attrgetter("thorax_mm"),
-    GateSignal.ABDOMEN: attrgetter("abdomen_mm"),
-}
-_WIDE_SEEN: "dict[str, attrgetter[float]]" = {
-    GateSignal.WHOLE: attrgetter("whole"),
-    GateSignal.THORAX: attrgetter("thorax"),
-    GateSignal.ABDOMEN: attrgetter("abdomen"),
-}
 SYMMETRIC_SIGNALS = frozenset({GateSignal.WHOLE, GateSignal.VOLUME})
 """Signals that are the same from whichever side the head lies."""
 PERCENTILES = (5.0, 95.0)
@@ -37,47 +25,6 @@ PERCENTILES = (5.0, 95.0)
 LearnedLevels = Mapping[SignalChoice, FloatArray]
 """Levels against the present reference [mm, l of the volume] in training frames evenly spread over the training, shape
 (n,), of the same frames for each signal. Signals whose levels are not known are absent."""
-
-
-def signal_of(choice: SignalChoice, motion: Motion) -> float:
-    """Return a signal [mm, l of the volume]; NaN where the measurement has no such cell, point or region."""
-    match choice.signal:
-        case GateSignal.VOLUME:
-            return float(motion.volume_l)
-        case GateSignal.REGION:
-            return _at_cell(choice, motion.regions_mm)
-        case GateSignal.POINT:
-            return float(motion.points_mm[choice.index]) if choice.index < len(motion.points_mm) else math.nan
-        case GateSignal.NAMED:
-            return float(motion.named_mm[choice.index]) if choice.index < len(motion.named_mm) else math.nan
-    return float(_WIDE_MM[choice.signal](motion))
-
-
-def is_wide(choice: SignalChoice) -> bool:
-    """Whether a signal is of a large part of the region: the whole, a half, or the volume."""
-    return choice.signal not in {GateSignal.REGION, GateSignal.POINT, GateSignal.NAMED}
-
-
-def seen_share_of(choice: SignalChoice, seen: SeenShares) -> float:
-    """Return the share of a signal's area that was seen, 0 to 1; NaN where it is unknown."""
-    match choice.signal:
-        case GateSignal.VOLUME:
-            return seen.whole
-        case GateSignal.REGION:
-            return _at_cell(choice, seen.cells)
-        case GateSignal.POINT:
-            return float(seen.points[choice.index]) if choice.index < len(seen.points) else math.nan
-        case GateSignal.NAMED:
-            return float(seen.named[choice.index]) if choice.index < len(seen.named) else math.nan
-    return float(_WIDE_SEEN[choice.signal](seen))
-
-
-def _at_cell(choice: SignalChoice, cells: FloatArray) -> float:
-    rows, columns = cells.shape
-    row, column = choice.row, choice.column
-    if row is None or column is None or row >= rows or column >= columns:
-        return math.nan
-    return float(cells[row, column])
 
 
 def check_choice(choice: SignalChoice) -> None:

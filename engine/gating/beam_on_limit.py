@@ -11,7 +11,7 @@ from typing import NamedTuple
 from engine.core.breath import Breath
 from engine.core.clock import NS_PER_S
 from engine.gating.limits import GateLimits
-from engine.gating.windows import BreathHoldWindow, GateWindow, Join, JoinedWindow
+from engine.gating.windows import Join, JoinedWindow
 
 BREATHS = 2.0
 S_PER_MIN = 60.0
@@ -41,16 +41,17 @@ class Stay(NamedTuple):
 OUTSIDE = Stay()
 
 
-def allowed_on_s(window: GateWindow, breaths: Iterable[Breath], limits: GateLimits) -> float | None:
+def allowed_on_s(breaths: Iterable[Breath], limits: GateLimits) -> float | None:
     """Return the longest beam-on in the window [s]: the site's, and two breaths where the rate is known.
 
     None where a breath hold, which has its own limit, is needed for the beam.
     """
-    has_hold = True in [isinstance(leaf, BreathHoldWindow) for leaf in window.leaves]
-    if has_hold:
+    window = limits.window
+    if limits.has_breath_hold:
         is_alternative = isinstance(window, JoinedWindow) and window.join is Join.OR
         return limits.max_beam_on_s if is_alternative else None
-    periods_s = [
-        S_PER_MIN / breath.rate_per_min for breath in breaths if breath.signal in window.choices and breath.rate_per_min
-    ]
-    return min([limits.max_beam_on_s, *([BREATHS * max(periods_s)] if periods_s else [])])
+    longest_s = 0.0
+    for breath in breaths:
+        if breath.rate_per_min and breath.signal in window.choices:
+            longest_s = max(longest_s, S_PER_MIN / breath.rate_per_min)
+    return min(limits.max_beam_on_s, BREATHS * longest_s) if longest_s else limits.max_beam_on_s

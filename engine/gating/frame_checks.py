@@ -14,7 +14,6 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
 from engine.core.sentences import listed, say
-from engine.core.signals import is_wide, seen_share_of, signal_of
 from engine.gating.delivery import (
     MAX_RATE_ERROR_PPM,
     Delivery,
@@ -299,7 +298,7 @@ def _judge_unmeasured(frame: Measurement) -> Verdict:
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
     wide = (motion.whole_mm, motion.thorax_mm, motion.abdomen_mm, fit.residual_mm, fit.valid_share, fit.inlier_share)
-    gated = [signal_of(choice, motion) for choice in limits.window.choices]
+    gated = [choice.value_in(motion) for choice in limits.window.choices]
     is_fit = fit.residual_mm >= 0.0 and 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
     if is_fit and all(map(math.isfinite, (*wide, *gated, *fit.beta.tolist(), *fit.coefficients.tolist()))):
         return None
@@ -317,7 +316,7 @@ def _bad_values(motion: Motion, limits: GateLimits) -> list[str]:
         (say("valid share"), fit.valid_share),
         (say("inlier share"), fit.inlier_share),
     )
-    gated = [choice for choice in limits.window.choices if not math.isfinite(signal_of(choice, motion))]
+    gated = [choice for choice in limits.window.choices if not math.isfinite(choice.value_in(motion))]
     bad: list[str] = [say("{label} (gated)", label=choice.label) for choice in gated]
     bad += [name for name, value in values if not math.isfinite(value)]
     if not all(map(math.isfinite, (*fit.beta.tolist(), *fit.coefficients.tolist()))):
@@ -367,8 +366,8 @@ def unseen_signal(seen: SeenShares, limits: GateLimits, when: str = "seen") -> s
     The motion model extrapolates what is not seen, so such a signal has a value that was not measured.
     """
     for choice in limits.window.choices:
-        needed = limits.min_wide_share if is_wide(choice) else limits.min_signal_share
-        share = seen_share_of(choice, seen)
+        needed = limits.min_wide_share if choice.is_wide else limits.min_signal_share
+        share = choice.seen_in(seen)
         if not needed <= share <= 1.0:
             return say(
                 "{label}: {share:.2f} of its area {when}, {needed:.2f} needed",
@@ -388,7 +387,7 @@ def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
 
 def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
     """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
-    lengths = tuple([signal_of(choice, motion) for choice in window.choices if not choice.is_volume])
+    lengths = tuple([choice.value_in(motion) for choice in window.choices if not choice.is_volume])
     return lengths or (motion.whole_mm,)
 
 

@@ -9,10 +9,11 @@ Times are host monotonic nanoseconds and are arguments: nothing here reads a clo
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
-from engine.core.frames import Measurement, Motion
+from engine.core.frames import Measurement
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.replacing import replace
 from engine.core.sentences import say
@@ -45,6 +46,7 @@ from engine.gating.windows import (
     left,
     permitted,
 )
+from engine.gating.windows.patient_breath import SignalNow
 
 CYCLES_WITHIN_NS = 60 * NS_PER_S
 
@@ -172,35 +174,55 @@ class Gate:
 
 def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> Gate:
     """Return the gate after ``event``; read ``now_ns`` after the event was made."""
-    delivery = delivery_with(gate.last, event) if isinstance(event, Measurement) else None
-    verdict = _judge(gate, event, delivery, now_ns, limits)
+    if isinstance(event, Measurement):
+        return _step_frame(gate, event, now_ns, limits)
+    verdict = _judge(gate, event, now_ns, limits)
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
         moved = replace(moved, conditions=armed_again(moved.conditions))
-    moved = _name_operator(gate, moved, event)
-    if not isinstance(event, Measurement) or delivery is None:
-        return moved
-    last = last_frame(gate.last, event, delivery, limits.window)
-    return _remember(gate, _follow_stay(moved, verdict, event, now_ns, limits), event, last)
+    return _name_operator(gate, moved, event)
 
 
-def _follow_stay(moved: Gate, verdict: Verdict, frame: Measurement, now_ns: int, limits: GateLimits) -> Gate:
+def _step_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits) -> Gate:
+    delivery = delivery_with(gate.last, frame)
+    seen = _seen_by_window(frame, limits)
+    verdict = _judge_frame(gate, frame, delivery, seen, now_ns, limits)
+    moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
+    if not moved.is_armed:
+        moved = _name_operator(gate, moved, frame)
+    last = last_frame(gate.last, frame, delivery, limits.window)
+    return _remember(gate, _follow_stay(moved, verdict, frame, seen, now_ns, limits), frame, last)
+
+
+class _Seen(NamedTuple):
+    """The part of a measured frame that the window uses, and the signal of each of its conditions."""
+
+    frame: WindowInput
+    signals: list[SignalNow]
+
+
+def _seen_by_window(frame: Measurement, limits: GateLimits) -> _Seen | None:
+    """Return what the window sees of a frame, sound or not; None without a measurement."""
+    if frame.motion is None:
+        return None
+    seen = WindowInput(frame.motion, frame.breaths, frame.timestamp_us, limits.breath_depths)
+    return _Seen(seen, [leaf.signal_now(seen) for leaf in limits.window.leaves])
+
+
+def _follow_stay(
+    moved: Gate, verdict: Verdict, frame: Measurement, seen: _Seen | None, now_ns: int, limits: GateLimits
+) -> Gate:
     """Start a new stay where the patient has breathed, and note where the signal is with the beam on."""
     stay = moved.stay if verdict.stay_from_ns is None else moved.stay.begun_at(verdict.stay_from_ns)
-    stay = stay.bounded(allowed_on_s(limits.window, frame.breaths, limits))
+    stay = stay.bounded(allowed_on_s(frame.breaths, limits))
     if stay is not moved.stay:
         moved = replace(moved, stay=stay)
-    if verdict.conditions is None or frame.motion is None:
+    if verdict.conditions is None or seen is None:
         return moved
     on_ns = moved.stay.on_ns + _on_ns(moved, now_ns, limits)
     is_on = moved.state is GateState.BEAM_ON
-    seen = _seen_by_window(frame, frame.motion, limits)
-    conditions = permitted(limits.window, seen, moved.conditions, on_ns=on_ns, is_on=is_on)
+    conditions = permitted(seen.signals, moved.conditions, on_ns=on_ns, is_on=is_on)
     return moved if conditions is moved.conditions else replace(moved, conditions=conditions)
-
-
-def _seen_by_window(frame: Measurement, motion: Motion, limits: GateLimits) -> WindowInput:
-    return WindowInput(motion, frame.breaths, frame.timestamp_us, limits.breath_depths)
 
 
 def _name_operator(before: Gate, moved: Gate, event: GateEvent) -> Gate:
@@ -218,7 +240,7 @@ def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) 
     """Return the lease for a gate in ``BEAM_ON``, else None; it counts from when the newest frame was *received*."""
     if gate.state is not GateState.BEAM_ON or gate.last is None:
         return None
-    expires_ns = gate.last.received_ns + ns_from_ms(limits.lease_ms)
+    expires_ns = gate.last.received_ns + limits.lease_ns
     return Lease(granted_ns=decided_ns, expires_ns=expires_ns, sequence=sequence)
 
 
@@ -264,7 +286,7 @@ def _on_ns(gate: Gate, now_ns: int, limits: GateLimits) -> int:
     """Return for how long the beam is on by now; it goes off with the newest frame's lease, whatever comes."""
     if gate.state is not GateState.BEAM_ON or gate.last is None:
         return 0
-    return min(now_ns, gate.last.received_ns + ns_from_ms(limits.lease_ms)) - gate.turned_on_ns[-1]
+    return min(now_ns, gate.last.received_ns + limits.lease_ns) - gate.turned_on_ns[-1]
 
 
 def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
@@ -289,9 +311,7 @@ def _remember(before: Gate, moved: Gate, frame: Measurement, last: LastFrame) ->
     return replace(moved, last=last, good_frames=frames, inside_since_ns=since_ns, inside_since_us=since_us)
 
 
-def _judge(gate: Gate, event: object, delivery: Delivery | None, now_ns: int, limits: GateLimits) -> Verdict:
-    if isinstance(event, Measurement) and delivery is not None:
-        return _judge_frame(gate, event, delivery, now_ns, limits)
+def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdict:
     match event:
         case Silence():
             return _judge_silence(gate, event, now_ns, limits)
@@ -318,20 +338,22 @@ def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) 
     return Verdict(EventKind.UNUSABLE, HoldReason.FRAME_MISSING, detail)
 
 
-def _judge_frame(gate: Gate, frame: Measurement, delivery: Delivery, now_ns: int, limits: GateLimits) -> Verdict:
+def _judge_frame(
+    gate: Gate, frame: Measurement, delivery: Delivery, seen: _Seen | None, now_ns: int, limits: GateLimits
+) -> Verdict:
     verdict = check_frame(gate.last, frame, delivery, now_ns, limits) or _refuse_lapsed(gate, now_ns, limits)
     if verdict is not None:
         return verdict
-    if frame.motion is None:  # unreachable: a frame without motion does not pass the checks
+    if seen is None:  # unreachable: a frame without motion does not pass the checks
         return fault(HoldReason.VALUE_INVALID, say("no motion"))
-    return _judge_window(gate, frame, frame.motion, now_ns, limits)
+    return _judge_window(gate, frame, seen, now_ns, limits)
 
 
 def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
     """Hold where the lease of the line has lapsed: it is off, and a new on needs a dwell."""
     if gate.state is not GateState.BEAM_ON or gate.last is None:
         return None
-    late_ns = now_ns - gate.last.received_ns - ns_from_ms(limits.lease_ms)
+    late_ns = now_ns - gate.last.received_ns - limits.lease_ns
     if late_ns < 0:
         return None
     return unusable(
@@ -340,14 +362,13 @@ def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | Non
     )
 
 
-def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:
+def _judge_window(gate: Gate, frame: Measurement, seen: _Seen, now_ns: int, limits: GateLimits) -> Verdict:
     window = limits.window
     states = gate.conditions if len(gate.conditions) == len(window.leaves) else initial_states(window)
-    seen = _seen_by_window(frame, motion, limits)
-    states = followed(window, seen, states, limits.max_gap_ms)
+    states = followed(seen.signals, states, limits.max_gap_ms)
     on_ns = gate.stay.on_ns + _on_ns(gate, now_ns, limits)
     stay_from_ns = breathed_from_ns(window, states, on_ns)
-    found = window.judge(seen, states)
+    found = window.judge(seen.frame, states)
     if stay_from_ns is not None:
         on_ns -= stay_from_ns
         found = found._replace(states=begun(found.states))

@@ -8,6 +8,7 @@ What the window of a session is where a request leaves it out; offline runs deci
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from engine.core.bounds import check_number, check_numbers
 from engine.core.breath import BreathEventKind
@@ -81,7 +82,7 @@ DWELL_MS = 200.0
 """Time that the signal must stay inside before beam on [ms]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class GateLimits:
     """Limits of one session. The defaults are for 30 frames a second.
 
@@ -269,13 +270,22 @@ class GateLimits:
             bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
             raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
 
-    @property
+    @cached_property
+    def lease_ns(self) -> int:
+        """The lease of the line [ns]."""
+        return ns_from_ms(self.lease_ms)
+
+    @cached_property
+    def has_breath_hold(self) -> bool:
+        """Whether a condition of the window is a breath hold."""
+        return True in [isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves]
+
+    @cached_property
     def judged_events(self) -> frozenset[BreathEventKind]:
         """The breathing events that hold the beam in every frame; in a held breath no others do (`is_held`)."""
-        has_hold = True in [isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves]
-        return self.holding_events - EVENTS_OF_A_BREATH_HOLD if has_hold else self.holding_events
+        return self.holding_events - EVENTS_OF_A_BREATH_HOLD if self.has_breath_hold else self.holding_events
 
-    @property
+    @cached_property
     def needs_head_direction(self) -> bool:
         """Whether the window is on a part of the patient, not only on the whole region or its volume."""
         return True in [depends_on_head(choice) for choice in self.window.choices]

@@ -21,7 +21,7 @@ from engine.core.commands import Acknowledge, Arm
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_status import LearningEvent, LearningStatus
-from engine.core.signals import Ranges, signal_of
+from engine.core.signals import Ranges
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Ending, Gate, GateEvent, Silence, step_gate
 from engine.gating.interlocks import DecisionInputs, interlocks
@@ -115,7 +115,7 @@ class OfflineGate:
         motion = event.motion
         if self._was_armed or event.state is not MeasurementState.MEASURING or motion is None:
             return
-        is_measured = all(math.isfinite(signal_of(choice, motion)) for choice in limits.window.choices)
+        is_measured = all(math.isfinite(choice.value_in(motion)) for choice in limits.window.choices)
         if status.model_shortcoming is not None or not is_measured or unseen_signal(motion.seen, limits) is not None:
             return
         if self._gate.state is GateState.FAULT:

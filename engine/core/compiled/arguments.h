@@ -76,7 +76,7 @@ PyObject *depths(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *shift_correlations(PyObject *module, PyObject *const *args, Py_ssize_t count);
-PyObject *replaced(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *replacer(PyObject *module, PyObject *const *args, Py_ssize_t count);
 
 /* The k-th smallest of n values, which are reordered; 0 <= k < n, no NaN. */
 double select_kth(double *values, Py_ssize_t n, Py_ssize_t k);

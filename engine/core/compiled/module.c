@@ -38,7 +38,7 @@ static PyMethodDef methods[] = {
     FUNCTION(largest_difference),
     FUNCTION(shift_correlations),
     FUNCTION(seen_shares),
-    FUNCTION(replaced),
+    FUNCTION(replacer),
     {NULL, NULL, 0, NULL},
 };
 

@@ -29,7 +29,6 @@ from engine.core.clock import US_PER_S
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BodyPosition, FloatArray, Measurement, Motion
 from engine.core.gate_state import HoldReason
 from engine.core.sentences import say
-from engine.core.signals import signal_of
 from engine.gating.frame_checks import MAX_JUMP_FRAMES
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
@@ -313,7 +312,7 @@ class Baseline:
 
     def _note_jump(self, motion: Motion, frame_index: int, now_us: int, levels: list[_Level]) -> None:
         """Forget the level where a gated signal has jumped since the last measured frame."""
-        signals = {one.choice: signal_of(one.choice, motion) for one in levels}
+        signals = {one.choice: one.choice.value_in(motion) for one in levels}
         before, self._before = self._before, (frame_index, signals)
         if before is None or before[1].keys() != signals.keys():
             return

@@ -16,7 +16,6 @@ from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningEvent, LearningEventKind
 from engine.core.motion_model import MotionModel
 from engine.core.sentences import listed, say
-from engine.core.signals import is_wide
 from engine.core.warmth import Warmth
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
@@ -234,7 +233,7 @@ class FrameSupervisor:
             has_reference=has_reference,
             position=measurement.position,
             timestamp_us=measurement.timestamp_us,
-            is_on_part=not all(map(is_wide, window.choices)),
+            is_on_part=not all(choice.is_wide for choice in window.choices),
         )
         found = (
             self._warm_up.check(frame.received_ns),

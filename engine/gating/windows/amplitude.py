@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass
+from functools import cached_property
 
 from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
@@ -9,7 +10,7 @@ from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
 from engine.core.sentences import say
-from engine.core.signals import Ranges, check_choice, signal_of
+from engine.core.signals import Ranges, check_choice
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 from engine.gating.windows.patient_breath import Edges, SignalNow
 
@@ -33,7 +34,7 @@ _EDGE_BOUNDS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class AmplitudeWindow:
     """The signal lies between two edges, which are inside.
 
@@ -73,12 +74,12 @@ class AmplitudeWindow:
             bound = f"less than half the window's width ({half_width:g})"
             raise InvalidValueError(self._field("hysteresis"), self.hysteresis, bound)
 
-    @property
+    @cached_property
     def leaves(self) -> "tuple[AmplitudeWindow, ...]":
         """The window itself."""
         return (self,)
 
-    @property
+    @cached_property
     def choices(self) -> tuple[SignalChoice, ...]:
         """The signals it uses."""
         return (self.choice,)
@@ -110,7 +111,7 @@ class AmplitudeWindow:
             raise InvalidValueError("unit", self.unit, say("mm or l: the breathing range is not known yet"))
         return replace(self, lower=self.lower + by, upper=self.upper + by)
 
-    @property
+    @cached_property
     def edges(self) -> Edges:
         """The edges and the hysteresis, in the window's unit."""
         return Edges(self.lower, self.upper, self.hysteresis)
@@ -118,7 +119,7 @@ class AmplitudeWindow:
     def signal_now(self, frame_input: WindowInput) -> SignalNow:
         """Return what the patient's breath is judged by."""
         return SignalNow(
-            value=signal_of(self.choice, frame_input.motion),
+            value=self.choice.value_in(frame_input.motion),
             at_us=frame_input.timestamp_us,
             edges=None if self.unit is Unit.PERCENT else self.edges,
             is_out=False,
@@ -140,7 +141,7 @@ class AmplitudeWindow:
                 HoldReason.RANGE_UNKNOWN,
                 say("the breathing range of {label} is not known yet", label=self.choice.label),
             )
-        value = signal_of(self.choice, frame_input.motion)
+        value = self.choice.value_in(frame_input.motion)
         if self.contains(value, was_inside=state.is_inside):
             return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
         digits = 3 if self.unit is Unit.L else 2

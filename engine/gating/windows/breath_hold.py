@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass
+from functools import cached_property
 
 from engine.core.bounds import check_number
 from engine.core.breath import SignalChoice
@@ -10,7 +11,7 @@ from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
 from engine.core.sentences import say
-from engine.core.signals import Ranges, signal_of
+from engine.core.signals import Ranges
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.conditions import (
     ENDED_BY,
@@ -41,7 +42,7 @@ class HoldKind(enum.StrEnum):
     EXPIRATION = "expiration"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BreathHoldWindow:
     """A breath hold: level reached, still, without drift, within its time limit.
 
@@ -82,12 +83,12 @@ class BreathHoldWindow:
         if not self.is_level_set and not self.level.needs_ranges:
             raise InvalidValueError("is_level_set", value=False, bound="true for a level in mm or l")
 
-    @property
+    @cached_property
     def leaves(self) -> "tuple[BreathHoldWindow, ...]":
         """The window itself."""
         return (self,)
 
-    @property
+    @cached_property
     def choices(self) -> tuple[SignalChoice, ...]:
         """The signals it uses."""
         return self.level.choices
@@ -125,7 +126,7 @@ class BreathHoldWindow:
             )
         if state.stage in ENDED_BY:
             return outside(state, ENDED_BY[state.stage], self._needs_a_breath())
-        value = signal_of(self.level.choice, frame_input.motion)
+        value = self.level.choice.value_in(frame_input.motion)
         ended = self._end(state, value, frame_input.timestamp_us)
         if ended is not None:
             return ended

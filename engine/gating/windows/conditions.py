@@ -47,7 +47,10 @@ class WindowInput(NamedTuple):
 
     def depth_of(self, choice: SignalChoice) -> float | None:
         """Return the depth of the learned breath in a signal; None where it is not known."""
-        return next((one.depth for one in self.depths if one.choice == choice), None)
+        for one in self.depths:
+            if one.choice == choice:
+                return one.depth
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -100,20 +100,20 @@ class SignalTrail:
     is_over: bool = False
 
     @property
-    def has_breathed(self) -> bool:
-        """Whether the patient has breathed since the beam was last on: a new stay, or a new breath hold, may begin."""
-        return self.is_over or self.is_away_long
-
-    @property
     def is_away_long(self) -> bool:
         """Whether the signal has been away for long enough now."""
         return self.away_us is not None and (self.at_us - self.away_us) / 1e6 >= AWAY_S
 
-    @property
-    def has_breathed_on(self) -> bool:
-        """Whether the patient has breathed with the beam on, and has left the window since."""
+    def breathed_from_ns(self, on_ns: int) -> int | None:
+        """Return the beam-on time of the old stay at which a new one starts [ns]; None if the patient has not breathed.
+
+        ``on_ns``, that of the stay so far, where the patient has breathed since the beam was last on; earlier where the
+        patient has breathed with the beam on, and has left the window since.
+        """
+        if self.is_over or self.is_away_long:
+            return on_ns
         is_out = self.out_us is not None and (self.at_us - self.out_us) / 1e6 >= OUT_S
-        return is_out and self.moved_on_ns is not None
+        return self.moved_on_ns if is_out else None
 
     def followed(self, now: SignalNow, max_gap_ms: float) -> "SignalTrail":
         """Return the trail after a frame that may be judged; a gap before it breaks what has to be without one."""
@@ -123,14 +123,20 @@ class SignalTrail:
         if len(recent) == 2:
             second = abs(now.value - 2.0 * recent[1] + recent[0])
             noise += NOISE_WEIGHT * (second / SECOND_DIFFERENCE - noise)
-        known = replace(self, recent=(*recent, now.value)[-2:], at_us=now.at_us, noise=noise)
-        if self.is_moved:
-            known = replace(known, is_moved=False, place=now.value, edges=_around(now))
+        place, edges = (now.value, _around(now)) if self.is_moved else (self.place, self.edges)
+        beyond = _beyond(edges, now)
+        is_away = place is not None and _is_away(now, place, edges, beyond, noise)
         away_us, out_us = (self.away_us, self.out_us) if is_next else (None, None)
         return replace(
-            known,
-            away_us=_since(now.at_us, away_us, is_true=_is_away(known, now)),
-            out_us=_since(now.at_us, out_us, is_true=_beyond(known.edges, now) > 0.0),
+            self,
+            recent=(*recent, now.value)[-2:],
+            at_us=now.at_us,
+            noise=noise,
+            is_moved=False,
+            place=place,
+            edges=edges,
+            away_us=(now.at_us if away_us is None else away_us) if is_away else None,
+            out_us=(now.at_us if out_us is None else out_us) if beyond > 0.0 else None,
         )
 
     def permitted(self, now: SignalNow, on_ns: int) -> "SignalTrail":
@@ -158,24 +164,13 @@ def _beyond(edges: Edges | None, now: SignalNow) -> float:
     return max(edges.lower - now.value, now.value - edges.upper)
 
 
-def _is_away(trail: SignalTrail, now: SignalNow) -> bool:
+def _is_away(now: SignalNow, place: float, edges: Edges | None, beyond: float, noise: float) -> bool:
     """Whether the signal is away from where the beam was on, by its edges or by a third of the learned breath."""
-    if trail.place is None:
-        return False
-    if now.breath is not None and abs(now.value - trail.place) >= BREATH_SHARE * now.breath:
+    if now.breath is not None and abs(now.value - place) >= BREATH_SHARE * now.breath:
         return True
-    if trail.edges is None:
-        return False
-    margin = max(trail.edges.hysteresis, NOISES * trail.noise, LEAST_MARGIN_MM * now.per_mm)
-    return _beyond(trail.edges, now) > margin
+    return edges is not None and beyond > max(edges.hysteresis, NOISES * noise, LEAST_MARGIN_MM * now.per_mm)
 
 
 def _around(now: SignalNow) -> Edges | None:
     """Return the edges in force if the signal lies between them."""
     return now.edges if now.edges is not None and now.edges.lower <= now.value <= now.edges.upper else None
-
-
-def _since(now_us: int, since_us: int | None, *, is_true: bool) -> int | None:
-    if not is_true:
-        return None
-    return now_us if since_us is None else since_us

@@ -4,7 +4,9 @@ Conditions joined by and, or by or.
 """
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, Breath, SignalChoice
@@ -12,7 +14,7 @@ from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.replacing import replace
 from engine.core.sentences import say
-from engine.core.signals import Ranges, check_choice, signal_of
+from engine.core.signals import Ranges, check_choice
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
 from engine.gating.windows.conditions import ConditionState, HoldStage, WindowInput, WindowVerdict, outside
@@ -21,7 +23,7 @@ from engine.gating.windows.patient_breath import SignalNow
 MAX_CONDITIONS = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PhaseWindow:
     """Between two phases of the breath, 0 % at the end of inhale; through 0 where ``from_percent`` is the larger."""
 
@@ -41,12 +43,12 @@ class PhaseWindow:
                 "to_percent", self.to_percent, f"another phase than from_percent ({self.from_percent:g})"
             )
 
-    @property
+    @cached_property
     def leaves(self) -> "tuple[PhaseWindow, ...]":
         """The window itself."""
         return (self,)
 
-    @property
+    @cached_property
     def choices(self) -> tuple[SignalChoice, ...]:
         """The signals it uses."""
         return (self.choice,)
@@ -75,7 +77,7 @@ class PhaseWindow:
         breath = self._breath(frame_input)
         phase = None if breath is None or not breath.phase_confidence >= self.min_confidence else breath.phase_percent
         return SignalNow(
-            value=signal_of(self.choice, frame_input.motion),
+            value=self.choice.value_in(frame_input.motion),
             at_us=frame_input.timestamp_us,
             edges=None,
             is_out=phase is not None and not self.contains(phase),
@@ -121,7 +123,7 @@ class Join(enum.StrEnum):
     OR = "or"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class JoinedWindow:
     """Two to four conditions: inside where all are (and), or any is (or)."""
 
@@ -136,12 +138,12 @@ class JoinedWindow:
         if not 2 <= len(self.conditions) <= MAX_CONDITIONS:
             raise InvalidValueError("conditions", len(self.conditions), f"2 to {MAX_CONDITIONS} conditions")
 
-    @property
+    @cached_property
     def leaves(self) -> tuple[Condition, ...]:
         """The conditions."""
         return self.conditions
 
-    @property
+    @cached_property
     def choices(self) -> tuple[SignalChoice, ...]:
         """The signals it uses, each once, in order."""
         return tuple(dict.fromkeys(choice for condition in self.conditions for choice in condition.choices))
@@ -182,10 +184,10 @@ GateWindow = AmplitudeWindow | BreathHoldWindow | PhaseWindow | JoinedWindow
 
 def is_held(window: GateWindow, states: tuple[ConditionState, ...]) -> bool:
     """Whether a breath hold of the window is held now: what was observed, whatever the window is called."""
-    held = [state.stage is HoldStage.HELD for state in states]
-    return True in held and any(
-        isinstance(leaf, BreathHoldWindow) and is_so for leaf, is_so in zip(window.leaves, held, strict=True)
-    )
+    for leaf, state in zip(window.leaves, states, strict=True):
+        if state.stage is HoldStage.HELD and isinstance(leaf, BreathHoldWindow):
+            return True
+    return False
 
 
 def begun(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
@@ -194,31 +196,31 @@ def begun(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
 
 
 def followed(
-    window: GateWindow, frame_input: WindowInput, states: tuple[ConditionState, ...], max_gap_ms: float
+    signals: Sequence[SignalNow], states: tuple[ConditionState, ...], max_gap_ms: float
 ) -> tuple[ConditionState, ...]:
-    """Return the states with each condition's signal followed to this frame."""
+    """Return the states with the signal of each condition followed to this frame."""
     return tuple(
         [
-            replace(state, trail=state.trail.followed(leaf.signal_now(frame_input), max_gap_ms))
-            for leaf, state in zip(window.leaves, states, strict=True)
+            replace(state, trail=state.trail.followed(signal, max_gap_ms))
+            for signal, state in zip(signals, states, strict=True)
         ]
     )
 
 
 def permitted(
-    window: GateWindow, frame_input: WindowInput, states: tuple[ConditionState, ...], *, on_ns: int, is_on: bool
+    signals: Sequence[SignalNow], states: tuple[ConditionState, ...], *, on_ns: int, is_on: bool
 ) -> tuple[ConditionState, ...]:
     """Return the states after the decision on a frame: with the beam on, or a breath held, that is the place.
 
     The same tuple where nothing has changed.
     """
-    after = list(states)
-    for at, (leaf, state) in enumerate(zip(window.leaves, states, strict=True)):
+    after = states
+    for at, (signal, state) in enumerate(zip(signals, states, strict=True)):
         if is_on or state.stage is HoldStage.HELD:
-            trail = state.trail.permitted(leaf.signal_now(frame_input), on_ns)
-            after[at] = state if trail is state.trail else replace(state, trail=trail)
-    is_changed = True in [one is not state for one, state in zip(after, states, strict=True)]
-    return tuple(after) if is_changed else states
+            trail = state.trail.permitted(signal, on_ns)
+            if trail is not state.trail:
+                after = (*after[:at], replace(state, trail=trail), *after[at + 1 :])
+    return after
 
 
 def breathed_from_ns(window: GateWindow, states: tuple[ConditionState, ...], on_ns: int) -> int | None:
@@ -226,14 +228,14 @@ def breathed_from_ns(window: GateWindow, states: tuple[ConditionState, ...], on_
 
     Where all conditions are needed, the breath of one of them ends a stay; where any permits the beam, of all.
     """
-    join = window.join if isinstance(window, JoinedWindow) else Join.AND
-    found = [
-        on_ns if state.trail.has_breathed else state.trail.moved_on_ns if state.trail.has_breathed_on else None
-        for state in states
-    ]
-    ended = [one for one in found if one is not None]
-    is_over = bool(ended) if join is Join.AND else len(ended) == len(found)
-    return (max(ended) if join is Join.AND else min(ended)) if is_over else None
+    ended: list[int] = []
+    for state in states:
+        from_ns = state.trail.breathed_from_ns(on_ns)
+        if from_ns is not None:
+            ended.append(from_ns)
+    if isinstance(window, JoinedWindow) and window.join is Join.OR:
+        return min(ended) if len(ended) == len(states) else None
+    return max(ended) if ended else None
 
 
 def initial_states(window: GateWindow) -> tuple[ConditionState, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from engine.core.breath import Breath, SignalChoice
 from engine.core.frames import FloatArray, Motion, SeenShares, frozen
 from engine.core.reference import ReferenceMoment, ReferenceProposal
-from engine.core.signals import Ranges, signal_of
+from engine.core.signals import Ranges
 from engine.motion.learning.prepared_model import PreparedModel, Reference, of_regions
 from engine.motion.learning.reference_transfer import ReferenceTransfer
 from engine.motion.stages.surface import vertices_mm
@@ -109,7 +109,7 @@ class ReferenceProposals:
         self.measured_from = None
         if self._signal is None:
             return
-        by = signal_of(self._signal, now) - signal_of(self._signal, before)
+        by = self._signal.value_in(now) - self._signal.value_in(before)
         moved_frames = [one._replace(level=one.level + by) for one in self._frames]
         self._frames.clear()
         self._frames.extend(moved_frames)
@@ -159,7 +159,7 @@ class ReferenceProposals:
         for _ in range(min(RELEASED_AT_ONCE, len(self._released))):
             self._released.popleft()
         self._active, self._signal = active, signal
-        level = signal_of(signal, motion)
+        level = signal.value_in(motion)
         if math.isfinite(level):
             frames.append(_Frame(timestamp_us, coefficients, level, motion.seen))
         while frames and timestamp_us - frames[0].timestamp_us > KEPT_US:

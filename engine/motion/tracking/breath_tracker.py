@@ -15,7 +15,6 @@ from functools import lru_cache
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.frames import FloatArray, Motion, PhaseLag, Projection, SeenShares, frozen
-from engine.core.signals import seen_share_of, signal_of
 from engine.motion.breathing import (
     BreathingState,
     correct_baseline,
@@ -66,9 +65,7 @@ class BreathTracker:
         Drift then counts from the last end of exhale; of the first signal from the reference itself where that is the
         mean of its last ends of exhale: the last one alone may have been a hitch.
         """
-        moved = [
-            shifted(state, signal_of(state.choice, now) - signal_of(state.choice, before)) for state in self._states
-        ]
+        moved = [shifted(state, state.choice.value_in(now) - state.choice.value_in(before)) for state in self._states]
         self._states = tuple(
             with_baseline(state, 0.0) if is_end_exhale and state is moved[0] else _with_current_baseline(state)
             for state in moved
@@ -89,7 +86,7 @@ class BreathTracker:
 
 def _seen_mm(choice: SignalChoice, motion: Motion) -> float:
     """Return a signal [mm; l for the volume]; NaN where the frame shows too little of it."""
-    return signal_of(choice, motion) if seen_share_of(choice, motion.seen) >= MIN_SEEN_SHARE else math.nan
+    return choice.value_in(motion) if choice.seen_in(motion.seen) >= MIN_SEEN_SHARE else math.nan
 
 
 def _with_current_baseline(state: BreathingState) -> BreathingState:

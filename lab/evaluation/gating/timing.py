@@ -24,7 +24,7 @@ from engine.core.breath import WHOLE, Breath, SignalChoice
 from engine.core.clock import ManualClock
 from engine.core.frames import FloatArray, MeasurementState, Motion
 from engine.core.native_process import keep_calls_in_their_thread
-from engine.core.signals import HeadDirection, Ranges, signal_of
+from engine.core.signals import HeadDirection, Ranges
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
     AmplitudeWindow,
@@ -253,7 +253,7 @@ class _TrueMotion:
         """Return a signal at a time [mm; l for the volume]."""
         number = min(max(round((at_us - self.first_us) / STEP_US), 0), len(self.times_us) - 1)
         cells = np.full((REGION[0] + 1, REGION[1] + 1), np.nan)
-        return signal_of(choice, self._window_input(number, int(at_us), cells).motion)
+        return choice.value_in(self._window_input(number, int(at_us), cells).motion)
 
     def _window_input(self, number: int, at_us: int, cells: FloatArray) -> WindowInput:
         whole, thorax, abdomen, cell, *points = self._motion_mm[number].tolist()

@@ -18,7 +18,7 @@ from engine.core.errors import ModelError
 from engine.core.frames import BodyPosition, BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.motion_model import MotionModel
-from engine.core.signals import HeadDirection, depends_on_head, signal_of
+from engine.core.signals import HeadDirection, depends_on_head
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
@@ -467,4 +467,4 @@ def _unseen(measurement: Measurement) -> list[str | None]:
 
 def _signals_mm(measurement: Measurement) -> list[float]:
     motion = measurement.motion
-    return [np.nan if motion is None else signal_of(choice, motion) for choice in SIGNALS]
+    return [np.nan if motion is None else choice.value_in(motion) for choice in SIGNALS]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from engine.control import LiveView
 from engine.core.breath import SignalChoice
 from engine.core.gate_state import Guidance, HoldReason
-from engine.core.signals import LearnedRange, signal_of
+from engine.core.signals import LearnedRange
 from engine.gating import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldKind, HoldStage, Unit, initial_states
 from service.core.schemas.base import rounded_or_none
 from service.core.schemas.coaching import Coaching, Instruction, PercentRange
@@ -85,7 +85,7 @@ def guide_frame(view: LiveView, learned: LearnedRange | None, settings: Coaching
     guided = guided_by(view)
     band = band_of(guided, learned, settings)
     scale = scale_of(band, learned, settings)
-    level = None if motion is None else rounded_or_none(signal_of(guided.choice, motion), 6)
+    level = None if motion is None else rounded_or_none(guided.choice.value_in(motion), 6)
     if level is None or scale is None:
         return NOT_MEASURED
     return GuideFrame(

@@ -6,7 +6,6 @@ The window as the gate judges by it, in the words of the live stream: edges in m
 from engine.control import LiveView
 from engine.core.breath import Breath, BreathEventKind, SignalChoice
 from engine.core.frames import Measurement
-from engine.core.signals import seen_share_of
 from engine.gating import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -131,7 +130,7 @@ def _seen_share(leaf: Condition, measurement: Measurement | None) -> float | Non
     """Return how much of the condition's signal the frame shows; None while nothing is measured."""
     if measurement is None or measurement.motion is None:
         return None
-    return rounded_or_none(seen_share_of(leaf.choices[0], measurement.motion.seen))
+    return rounded_or_none(leaf.choices[0].seen_in(measurement.motion.seen))
 
 
 def _condition(leaf: Condition, state: ConditionState, *, is_inside: bool) -> LiveCondition:

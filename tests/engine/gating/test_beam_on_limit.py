@@ -132,7 +132,7 @@ HOLD = BreathHoldWindow(level=WINDOW)
     ],
 )
 def test_what_is_allowed_in_each_kind_of_window(window, breaths, expected):
-    assert allowed_on_s(window, breaths, EASY) == expected
+    assert allowed_on_s(breaths, replace(EASY, window=window)) == expected
 
 
 @pytest.mark.parametrize(("short_ns", "is_over"), [(0, True), (1, False)])

@@ -10,7 +10,6 @@ from engine.core.clock import ManualClock
 from engine.core.commands import Arm
 from engine.core.frames import MeasurementState
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.signals import seen_share_of
 from engine.gating.gate import Gate, step_gate
 from engine.gating.windows import AmplitudeWindow, Unit
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
@@ -126,10 +125,10 @@ def test_a_gated_signal_over_raised_skin_that_is_not_seen_is_held_by_name_and_th
 def test_the_shares_are_those_of_the_places(measurements):
     shares = measurements[HONEST].motion.seen
     for choice in (CELL_LOW, POINT_LOW, NAMED_LOW):
-        assert seen_share_of(choice, shares) < 0.3
+        assert choice.seen_in(shares) < 0.3
     for choice in SEEN_SIGNALS:
-        assert seen_share_of(choice, shares) > 0.95
-    assert seen_share_of(ABDOMEN, shares) == pytest.approx(0.62, abs=0.05)
+        assert choice.seen_in(shares) > 0.95
+    assert ABDOMEN.seen_in(shares) == pytest.approx(0.62, abs=0.05)
     assert shares.cells.shape == (14, 8)
     assert np.asarray(measurements[HONEST - 1].motion.seen.cells).min() > 0.6
 
@@ -146,11 +145,11 @@ def test_a_reference_over_a_place_that_is_not_seen_does_not_count_there(model):
     pipeline = new_pipeline(model)
     while (last := measure(pipeline, 0, 1, edit=blind_fifth)[0]).state is not MeasurementState.MEASURING:
         pass
-    assert seen_share_of(CELL_LOW, last.motion.reference_seen) < 0.3
+    assert CELL_LOW.seen_in(last.motion.reference_seen) < 0.3
     now = measure(pipeline, STEP, 2)[-1].motion
-    assert seen_share_of(CELL_LOW, now.seen) > 0.95
-    assert seen_share_of(CELL_LOW, now.reference_seen) < 0.3
-    assert seen_share_of(CELL_HIGH, now.reference_seen) > 0.95
+    assert CELL_LOW.seen_in(now.seen) > 0.95
+    assert CELL_LOW.seen_in(now.reference_seen) < 0.3
+    assert CELL_HIGH.seen_in(now.reference_seen) > 0.95
     pipeline.learner.set_reference()
     again = measure(pipeline, 3 * STEP, 1)[0].motion
-    assert seen_share_of(CELL_HIGH, again.reference_seen) > 0.95
+    assert CELL_HIGH.seen_in(again.reference_seen) > 0.95

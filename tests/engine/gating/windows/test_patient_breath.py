@@ -25,9 +25,9 @@ def beyond(seconds, *, gap_us=FRAME_US):
 
 def test_a_signal_beyond_its_edge_for_long_enough_is_a_breath_and_a_gap_begins_it_anew():
     long_s = 1.5 * max(AWAY_S, OUT_S)
-    assert (beyond(long_s).has_breathed, beyond(long_s).has_breathed_on) == (True, True)
+    assert beyond(long_s).breathed_from_ns(5) == 5
     broken = beyond(long_s, gap_us=round(GAP_MS * 1000) + 1)
-    assert (broken.has_breathed, broken.has_breathed_on) == (False, False)
+    assert broken.breathed_from_ns(5) is None
 
 
 @pytest.mark.parametrize(("gap_us", "is_known"), [(100_000, True), (100_001, False), (-1, False)])

@@ -8,7 +8,6 @@ import pytest
 from engine.core.commands import Arm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason, Lease
-from engine.core.signals import signal_of
 from engine.gating.gate import Gate, lease_of
 from engine.gating.limits import LIMIT_BOUNDS, WHOLE_NUMBERS, GateLimits
 from engine.gating.windows import amplitude_window
@@ -59,9 +58,9 @@ def test_hysteresis_only_ever_takes_beam_on_time_away():
 )
 def test_each_signal_is_the_one_that_is_gated_on(signal, row, column, changes):
     window = amplitude_window(signal=signal, row=row, column=column, lower_mm=-1.0, upper_mm=3.0)
-    assert signal_of(window.choice, motion_of(**changes)) == 1.75
+    assert window.choice.value_in(motion_of(**changes)) == 1.75
     others = {"whole_mm": 9.0, "thorax_mm": 9.0, "abdomen_mm": 9.0, "regions_mm": 9.0} | changes
-    assert window.contains(signal_of(window.choice, motion_of(**others)), was_inside=False)
+    assert window.contains(window.choice.value_in(motion_of(**others)), was_inside=False)
 
 
 @pytest.mark.parametrize(("row", "column"), [(14, 0), (0, 8)])

@@ -13,7 +13,7 @@ from engine.core.breath import Breath, SignalChoice
 from engine.core.commands import Arm
 from engine.core.frames import Motion
 from engine.core.gate_state import GateState
-from engine.core.signals import LearnedRange, signal_of
+from engine.core.signals import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, JoinedWindow, PhaseWindow
 from tests.support.gating.streams import LIMITS, Stream, motion_of
 
@@ -70,7 +70,7 @@ def plainly_inside(condition: Condition, motion: Motion, breath: Breath) -> bool
             return False
         return start <= phase <= end if start < end else phase >= start or phase <= end
     level = condition.level if isinstance(condition, BreathHoldWindow) else condition
-    return level.lower <= signal_of(level.choice, motion) <= level.upper
+    return level.lower <= level.choice.value_in(motion) <= level.upper
 
 
 def plainly(window: GateWindow, motion: Motion, breath: Breath) -> bool:

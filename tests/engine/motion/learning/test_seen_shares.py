@@ -8,7 +8,6 @@ from hypothesis import given, settings, strategies as st
 
 from engine.core.breath import SignalChoice
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, SeenShares
-from engine.core.signals import seen_share_of
 from engine.motion.learning.prepared_model import prepare_seen_weights
 from engine.motion.named_regions import NamedRegion
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX
@@ -61,12 +60,12 @@ def test_what_lies_below_a_blind_fifth_is_reported_by_name():
     assert shares.cells.shape == (14, 8)
     assert (shares.cells[:11] == 1.0).all()
     assert not shares.cells[12:].any()
-    assert seen_share_of(SignalChoice(signal="region", row=12, column=4), shares) == 0.0
-    assert seen_share_of(SignalChoice(signal="region", row=3, column=4), shares) == 1.0
-    assert seen_share_of(SignalChoice(signal="point", row=349, column=199, index=2), shares) == 0.0
-    assert 0.5 < seen_share_of(SignalChoice(signal="named", name="belly"), shares) < 1.0
-    assert seen_share_of(SignalChoice(signal="abdomen"), shares) == shares.abdomen
-    assert seen_share_of(SignalChoice(), shares) == seen_share_of(SignalChoice(signal="volume"), shares) == shares.whole
+    assert SignalChoice(signal="region", row=12, column=4).seen_in(shares) == 0.0
+    assert SignalChoice(signal="region", row=3, column=4).seen_in(shares) == 1.0
+    assert SignalChoice(signal="point", row=349, column=199, index=2).seen_in(shares) == 0.0
+    assert 0.5 < SignalChoice(signal="named", name="belly").seen_in(shares) < 1.0
+    assert SignalChoice(signal="abdomen").seen_in(shares) == shares.abdomen
+    assert SignalChoice().seen_in(shares) == SignalChoice(signal="volume").seen_in(shares) == shares.whole
 
 
 def test_shares_of_several_frames_are_averaged():
@@ -86,7 +85,7 @@ def test_shares_of_several_frames_are_averaged():
     ],
 )
 def test_an_absent_share_is_not_a_number(choice):
-    assert math.isnan(seen_share_of(choice, SeenShares()))
+    assert math.isnan(choice.seen_in(SeenShares()))
 
 
 @settings(max_examples=25, deadline=None)
