@@ -9,13 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from typing import Any
 
 from engine.core.errors import InvalidValueError
 from engine.core.sentences import say
-
-if TYPE_CHECKING:
-    from engine.core.frames import FloatArray, Motion, SeenShares
 
 LITRES_PER_MM = 0.1
 """Volume that counts as a millimetre where a bound is given in mm: a region of 350 mm by 300 mm that rises by 1 mm."""
@@ -33,24 +30,16 @@ class GateSignal(enum.StrEnum):
     VOLUME = "volume"
 
 
-_IN_MOTION = {
-    GateSignal.WHOLE: "whole_mm",
-    GateSignal.THORAX: "thorax_mm",
-    GateSignal.ABDOMEN: "abdomen_mm",
-    GateSignal.VOLUME: "volume_l",
-    GateSignal.REGION: "regions_mm",
-    GateSignal.POINT: "points_mm",
-    GateSignal.NAMED: "named_mm",
+_FIELDS = {
+    GateSignal.WHOLE: ("whole_mm", "whole"),
+    GateSignal.THORAX: ("thorax_mm", "thorax"),
+    GateSignal.ABDOMEN: ("abdomen_mm", "abdomen"),
+    GateSignal.VOLUME: ("volume_l", "whole"),
+    GateSignal.REGION: ("regions_mm", "cells"),
+    GateSignal.POINT: ("points_mm", "points"),
+    GateSignal.NAMED: ("named_mm", "named"),
 }
-_IN_SEEN = {
-    GateSignal.WHOLE: "whole",
-    GateSignal.THORAX: "thorax",
-    GateSignal.ABDOMEN: "abdomen",
-    GateSignal.VOLUME: "whole",
-    GateSignal.REGION: "cells",
-    GateSignal.POINT: "points",
-    GateSignal.NAMED: "named",
-}
+"""Where a signal's value is in a `Motion`, and its share in `SeenShares`."""
 _PARTS = {GateSignal.REGION, GateSignal.POINT, GateSignal.NAMED}
 
 
@@ -108,17 +97,17 @@ class SignalChoice:
         return self.signal not in _PARTS
 
     @cached_property
-    def value_in(self) -> "Callable[[Motion], float]":
-        """Its value in a motion [mm, l of the volume]; NaN where that has no such cell, point or region."""
-        return self._read(_IN_MOTION)
+    def value_in(self) -> Callable[[object], float]:
+        """Its value in a `Motion` [mm, l of the volume]; NaN where that has no such cell, point or region."""
+        return self._reader(0)
 
     @cached_property
-    def seen_in(self) -> "Callable[[SeenShares], float]":
-        """The share of its area that was seen, 0 to 1; NaN where it is unknown."""
-        return self._read(_IN_SEEN)
+    def seen_in(self) -> Callable[[object], float]:
+        """The share of its area in `SeenShares` that was seen, 0 to 1; NaN where it is unknown."""
+        return self._reader(1)
 
-    def _read(self, names: dict[GateSignal, str]) -> "Callable[[object], float]":
-        get = attrgetter(names[GateSignal(self.signal)])
+    def _reader(self, at: int) -> Callable[[object], float]:
+        get = attrgetter(_FIELDS[GateSignal(self.signal)][at])
         if self.signal is GateSignal.REGION:
             return partial(_at_cell, get, self.row, self.column)
         return get if self.is_wide else partial(_at_index, get, self.index)
@@ -131,7 +120,7 @@ class SignalChoice:
         return self.name or self.signal
 
 
-def _at_cell(get: "Callable[[object], FloatArray]", row: int | None, column: int | None, of: object) -> float:
+def _at_cell(get: Callable[[object], Any], row: int | None, column: int | None, of: object) -> float:
     cells = get(of)
     rows, columns = cells.shape
     if row is None or column is None or row >= rows or column >= columns:

@@ -298,7 +298,9 @@ def _judge_unmeasured(frame: Measurement) -> Verdict:
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
     wide = (motion.whole_mm, motion.thorax_mm, motion.abdomen_mm, fit.residual_mm, fit.valid_share, fit.inlier_share)
-    gated = [choice.value_in(motion) for choice in limits.window.choices]
+    gated: tuple[float, ...] = ()
+    for choice in limits.window.choices:
+        gated += (choice.value_in(motion),)
     is_fit = fit.residual_mm >= 0.0 and 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
     if is_fit and all(map(math.isfinite, (*wide, *gated, *fit.beta.tolist(), *fit.coefficients.tolist()))):
         return None
@@ -387,7 +389,10 @@ def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
 
 def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
     """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
-    lengths = tuple([choice.value_in(motion) for choice in window.choices if not choice.is_volume])
+    lengths: tuple[float, ...] = ()
+    for choice in window.choices:
+        if not choice.is_volume:
+            lengths += (choice.value_in(motion),)
     return lengths or (motion.whole_mm,)
 
 
@@ -396,9 +401,10 @@ def _refuse_jump(last: LastFrame | None, motion: Motion, limits: GateLimits) -> 
         return None
     frames = min(last.signal_age_frames + 1, MAX_JUMP_FRAMES)  # this frame missed none: `_refuse_gap`
     signals_mm = _jump_signals_mm(motion, limits.window)
-    step_mm = max([abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True)])
-    if not step_mm <= limits.max_jump_mm * frames:
-        return unusable(HoldReason.JUMP, say("{step_mm:.1f} mm in {frames} frames", step_mm=step_mm, frames=frames))
+    for now_mm, before_mm in zip(signals_mm, last.signals_mm, strict=True):
+        step_mm = abs(now_mm - before_mm)
+        if not step_mm <= limits.max_jump_mm * frames:
+            return unusable(HoldReason.JUMP, say("{step_mm:.1f} mm in {frames} frames", step_mm=step_mm, frames=frames))
     return None
 
 

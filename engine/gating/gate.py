@@ -198,7 +198,7 @@ class _Seen(NamedTuple):
     """The part of a measured frame that the window uses, and the signal of each of its conditions."""
 
     frame: WindowInput
-    signals: list[SignalNow]
+    signals: tuple[SignalNow, ...]
 
 
 def _seen_by_window(frame: Measurement, limits: GateLimits) -> _Seen | None:
@@ -206,7 +206,10 @@ def _seen_by_window(frame: Measurement, limits: GateLimits) -> _Seen | None:
     if frame.motion is None:
         return None
     seen = WindowInput(frame.motion, frame.breaths, frame.timestamp_us, limits.breath_depths)
-    return _Seen(seen, [leaf.signal_now(seen) for leaf in limits.window.leaves])
+    signals: tuple[SignalNow, ...] = ()
+    for leaf in limits.window.leaves:
+        signals += (leaf.signal_now(seen),)
+    return _Seen(seen, signals)
 
 
 def _follow_stay(

@@ -218,24 +218,25 @@ class Pipeline:
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
-        self.learn()  # work of the last frame that the caller left pending
+        if self._later is not None:  # work of the last frame that the caller left pending
+            self.learn()
         needs = self.learner.begin_frame(frame.timestamp_us)
         found = self._find(frame)
         if isinstance(found, Lost):
             return self._measurement(frame, MeasurementState.LOST, lost=found)
         stride_px = LEARNING_STRIDE_PX if needs.is_fine else STRIDE_PX
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=needs.active is not None)
-        if not self._tracker.is_settled:
+        if not self._tracker.table.is_settled:
             return self._without_model(frame, roi, found)
-        self.learner.models.depth_steps = stored_steps(self._tracker.depth_steps)
-        thin = roi.thinned(STRIDE_PX)
+        self.learner.models.depth_steps = stored_steps(self._tracker.table.steps)
+        thin = roi if roi.stride_px == STRIDE_PX else roi.thinned(STRIDE_PX)
         self._trust.observe(frame, self._repeated.thin, found, roi, thin)
         if needs.is_gathering and needs.active is None:
             self._find_costal_line(frame, found)
         if needs.takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
         self._followed.recent.add(thin, frame.timestamp_us)
-        active = self.learner.active
+        active = self.learner.models.active
         if active is not None:
             return self._measured(frame, active, found, nodes, roi, thin, needs)
         self._keep(roi, frame.timestamp_us, nodes.pixels_px)
@@ -263,7 +264,7 @@ class Pipeline:
         breaths = self._followed.breaths.follow(motion, frame.timestamp_us)
 
         def later() -> None:
-            if doubt is None:
+            if doubt is None and needs.is_fine:
                 if not needs.takes_lost_frames:
                     self._learn(roi, frame.timestamp_us, found, nodes.pixels_px, needs)
                 self._keep(roi, frame.timestamp_us, nodes.pixels_px)
@@ -407,6 +408,7 @@ class Pipeline:
         return self._trust.judge(
             active,
             outcome,
+            noise_mm,
             is_reference_due=learner.reference.is_due,
             position_generation=learner.journal.position_generation,
         )

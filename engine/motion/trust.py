@@ -40,12 +40,19 @@ class SurfaceTrust:
         self.second_estimate.observe(frame, views, found, rays, thin)
 
     def judge(
-        self, active: PreparedModel, outcome: Projection | Lost, *, is_reference_due: bool, position_generation: int
+        self,
+        active: PreparedModel,
+        outcome: Projection | Lost,
+        noise_mm: float,
+        *,
+        is_reference_due: bool,
+        position_generation: int,
     ) -> tuple[Projection, Depths] | Lost:
         """Return a projected frame with its depths where its surface is trusted, or else why not.
 
-        ``position_generation`` counts the references that a person has set; a new one resets layout and continuity. The
-        comparison with the reference needs no projection: it is made of a frame that the model does not explain too.
+        ``noise_mm`` is the noise that tolerances count with; ``position_generation`` counts the references that a
+        person has set: a new one resets layout and continuity. The comparison with the reference needs no projection:
+        it is made of a frame that the model does not explain too.
         """
         self._disagreement = self.second_estimate.lost(
             active.model, is_reference_due=is_reference_due, learned=active.beside
@@ -56,13 +63,15 @@ class SurfaceTrust:
         if isinstance(outcome, Lost):
             return outcome
         depths_mm = active.depths_mm(outcome.coefficients)
-        untrusted = self._untrusted(active, depths_mm[0], position_generation)
+        untrusted = self._untrusted(active, depths_mm[0], noise_mm, position_generation)
         if untrusted is not None:
             return untrusted
         self.second_estimate.confirm()
         return outcome, depths_mm
 
-    def _untrusted(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
+    def _untrusted(
+        self, active: PreparedModel, node_depth_mm: FloatArray, noise_mm: float, position_generation: int
+    ) -> Lost | None:
         """Return why the surface of an explained frame is not trusted, None where it is.
 
         Where the camera or the couch has moved too, that is named: it explains a surface that has changed. A movement
@@ -72,10 +81,12 @@ class SurfaceTrust:
         elsewhere = self._layout.lost(self._points_mm, self._timestamp_us)
         if elsewhere is not None:
             return elsewhere
-        lost = self._disagreement or self._discontinuity(active, node_depth_mm, position_generation)
+        lost = self._disagreement or self._discontinuity(active, node_depth_mm, noise_mm, position_generation)
         return None if lost is None else self.second_estimate.doubt or lost
 
-    def _discontinuity(self, active: PreparedModel, node_depth_mm: FloatArray, position_generation: int) -> Lost | None:
+    def _discontinuity(
+        self, active: PreparedModel, node_depth_mm: FloatArray, noise_mm: float, position_generation: int
+    ) -> Lost | None:
         if self._found is None:
             return None
         self._continuity.restart(position_generation)
@@ -83,7 +94,6 @@ class SurfaceTrust:
             depth_mm=node_depth_mm, markers_px=self._found.centers_px, timestamp_us=self._timestamp_us
         )
         modes = active.node_modes[: active.basis.components]
-        noise_mm = self.second_estimate.noise.counting(active.model.noise_mm)
         detail = self._continuity.rejection(observed, modes, noise_mm)
         return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
 

@@ -199,12 +199,10 @@ def followed(
     signals: Sequence[SignalNow], states: tuple[ConditionState, ...], max_gap_ms: float
 ) -> tuple[ConditionState, ...]:
     """Return the states with the signal of each condition followed to this frame."""
-    return tuple(
-        [
-            replace(state, trail=state.trail.followed(signal, max_gap_ms))
-            for signal, state in zip(signals, states, strict=True)
-        ]
-    )
+    after: tuple[ConditionState, ...] = ()
+    for signal, state in zip(signals, states, strict=True):
+        after += (replace(state, trail=state.trail.followed(signal, max_gap_ms)),)
+    return after
 
 
 def permitted(

@@ -9,6 +9,7 @@ tenths of a millimetre, a cough by its whole height. One bump bends three times 
 All in mm and s; a volume is scaled to mm.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -94,7 +95,10 @@ class Indicators:
 
 def find_event(events: Events, kind: BreathEventKind) -> BreathEvent | None:
     """Return the active event of that kind, if any."""
-    return next((event for event in events if event.kind is kind), None)
+    for event in events:
+        if event.kind is kind:
+            return event
+    return None
 
 
 def update_events(events: Events, indicators: Indicators, habit: BreathingHabit | None) -> Events:
@@ -287,12 +291,12 @@ def follow_spikes(spikes: Spikes, seconds: float, value: float, amplitude: float
         return replace(spikes, recent=recent)
     size = abs(bend)
     limit = max(MIN_BEND_MM, TIMES_USUAL * spikes.usual, SHARE_OF_AMPLITUDE * amplitude)
-    step_s = seconds - recent[-2].seconds
+    bounded, step_s = min(size, limit), seconds - recent[-2].seconds
     learned = replace(
         spikes,
         recent=recent,
-        usual=spikes.usual + _share(step_s, min(USUAL_S, spikes.since_s + step_s)) * (min(size, limit) - spikes.usual),
-        short=spikes.short + _share(step_s, SHORT_S) * (min(size, limit) - spikes.short),
+        usual=spikes.usual + step_s / max(step_s, min(USUAL_S, spikes.since_s + step_s)) * (bounded - spikes.usual),
+        short=spikes.short + step_s / max(step_s, SHORT_S) * (bounded - spikes.short),
         since_s=min(spikes.since_s + step_s, USUAL_S),
     )
     return _counted(learned, seconds, 1 if bend > 0.0 else -1) if size > limit else learned
@@ -318,11 +322,10 @@ def _bend(recent: tuple[Sample, ...]) -> float | None:
         return None
     begin, end = recent[0], recent[-1]
     middle_s = 0.5 * (begin.seconds + end.seconds)
-    apart_s = [abs(sample.seconds - middle_s) for sample in recent[1:-1]]
-    middle = recent[1 + apart_s.index(min(apart_s))]
+    middle, least_s = begin, math.inf
+    for sample in recent[1:-1]:
+        apart_s = abs(sample.seconds - middle_s)
+        if apart_s < least_s:
+            middle, least_s = sample, apart_s
     share = (middle.seconds - begin.seconds) / (end.seconds - begin.seconds)
     return middle.value - begin.value - share * (end.value - begin.value)
-
-
-def _share(step_s: float, time_s: float) -> float:
-    return min(1.0, step_s / max(time_s, step_s, 1e-9))

@@ -91,11 +91,6 @@ class BreathingState:
     events: event_rules.Events = ()
     breath: Breath
 
-    @property
-    def unit(self) -> float:
-        """Amount of the signal's unit that counts as 1 mm."""
-        return self.choice.per_mm
-
 
 def start_breathing(choice: SignalChoice) -> BreathingState:
     """Return the initial state for a signal."""
@@ -107,7 +102,7 @@ def with_baseline(state: BreathingState, baseline: float) -> BreathingState:
     if not abs(baseline) <= MAX_ABS_MM:
         return state
     events = tuple(event for event in state.events if event.kind is not BreathEventKind.DRIFT)
-    history = replace(state.history, learned=baseline / state.unit, correction=0.0)
+    history = replace(state.history, learned=baseline / state.choice.per_mm, correction=0.0)
     return _with_output(replace(state, history=history, events=events))
 
 
@@ -116,14 +111,15 @@ def correct_baseline(state: BreathingState, by: float) -> BreathingState:
     if not abs(by) <= MAX_ABS_MM:
         return state
     events = tuple(event for event in state.events if event.kind is not BreathEventKind.DRIFT)
-    return _with_output(replace(state, history=replace(state.history, correction=by / state.unit), events=events))
+    history = replace(state.history, correction=by / state.choice.per_mm)
+    return _with_output(replace(state, history=history, events=events))
 
 
 def shifted(state: BreathingState, by: float) -> BreathingState:
     """Shift all levels by a change of the signal's reference [mm; l for the volume]."""
     if not abs(by) <= MAX_ABS_MM:  # NaN: the signal is not measured now
         return state
-    mm = by / state.unit
+    mm = by / state.choice.per_mm
     spikes, bins, turns, current = state.spikes, state.bins, state.turns, state.current
     return _with_output(
         replace(
@@ -159,7 +155,7 @@ def follow_breathing(state: BreathingState, seconds: float, value: float) -> Bre
     value
         The signal [mm; l for the volume], inhale positive, any offset; NaN if it was not measured.
     """
-    mm = value / state.unit
+    mm = value / state.choice.per_mm
     if not (abs(seconds) < MAX_S and abs(mm) <= MAX_ABS_MM):  # also for NaN
         return lose_breathing(state)
     if state.seconds is None or seconds < state.seconds:
@@ -174,8 +170,9 @@ def follow_breathing(state: BreathingState, seconds: float, value: float) -> Bre
 def _continued(state: BreathingState, before_s: float, seconds: float, mm: float) -> BreathingState:
     """Add the next value of a signal without a gap."""
     fast = state.fast + (1.0 - math.exp((before_s - seconds) / SMOOTHING_S)) * (mm - state.fast)
-    spikes = follow_spikes(state.spikes, seconds, mm, state.history.rise)
-    bins, is_closed = follow_bins(state.bins, seconds, mm, state.history.rise)
+    rise = state.history.rise
+    spikes = follow_spikes(state.spikes, seconds, mm, rise)
+    bins, is_closed = follow_bins(state.bins, seconds, mm, rise)
     is_coughing = spikes.is_cough(seconds)
     if is_coughing or event_rules.find_event(state.events, BreathEventKind.COUGH) is not None:
         state = _during_cough(replace(state, seconds=seconds, fast=fast, spikes=spikes, bins=bins), seconds)
@@ -203,7 +200,7 @@ def _checked(state: BreathingState, seconds: float) -> BreathingState:
 
 def _with_output(state: BreathingState) -> BreathingState:
     low = state.current.low
-    return replace(state, breath=breath_of(state.choice, state.unit, state.history, state.track, state.events, low))
+    return replace(state, breath=breath_of(state.choice, state.history, state.track, state.events, low))
 
 
 def _started(state: BreathingState, seconds: float, mm: float) -> BreathingState:

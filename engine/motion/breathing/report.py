@@ -114,18 +114,17 @@ def _running(track: PhaseTrack, habit: BreathingHabit, now_s: float) -> float:
     return track.anchor + 100.0 * (now_s - track.anchor_s) / habit.period_s
 
 
-def breath_of(
-    choice: SignalChoice, unit: float, history: BreathingHistory, track: PhaseTrack, events: Events, low: float
-) -> Breath:
-    """Return the breathing figures of a signal; ``unit`` converts internal mm to the signal's unit.
+def breath_of(choice: SignalChoice, history: BreathingHistory, track: PhaseTrack, events: Events, low: float) -> Breath:
+    """Return the breathing figures of a signal, in its unit.
 
     ``low`` is the lowest level since the last end of inhale [mm], infinite before: an exhale that already lies lower
     than the last one counts for the drift.
     """
-    habit = history.habit
+    habit, unit = history.habit, choice.per_mm
     exhale_s, exhale = history.lows[-1] if history.lows else (None, math.nan)
     exhale_us = None if exhale_s is None else round(exhale_s * US_PER_S)
-    drift = None if exhale_s is None or history.expected is None else (exhale - history.expected) * unit
+    expected = history.expected
+    drift = None if exhale_s is None or expected is None else (exhale - expected) * unit
     lower_by = max(0.0, exhale - low) * unit
     exhale_drift = None if drift is None else drift - lower_by
     if habit is None or (history.breaths_needed == INITIAL_BREATHS and history.reason == AFTER_GAP):

@@ -208,7 +208,7 @@ def shapes_of(model: StoredModes) -> BreathingShapes:
 
 def cell_means(roi: RoiDepth) -> FloatArray:
     """Return the mean depth of each cell [mm], row by row from superior right, shape (cells,); NaN if hardly seen."""
-    thin = roi.thinned(STRIDE_PX)
+    thin = roi if roi.stride_px == STRIDE_PX else roi.thinned(STRIDE_PX)
     compiled = FramePath.kernels
     if compiled is None:
         return _means(thin.depth_mm, thin.valid)

@@ -11,6 +11,7 @@ says whether it could be made (`Evidence`): the gate does not rest on one that c
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +88,9 @@ MOVERS = {False: Mover.COUCH, True: Mover.CAMERA, None: Mover.EITHER}
 MARKER_PERCENTILE = 90.0
 RETURNED = 0.8
 """A disagreement ends at this share of its limit."""
+AGREEING = {"camera": 1.0, "colour": 1.0, "surface": 1.0}
+"""The share of the limit of each disagreement that counts while there is none."""
+_CELLS_MM, _SCENE_MM = attrgetter("cells_mm"), attrgetter("scene_mm")
 MOST_SURFACES = 3000
 _UNKNOWN_MM = frozen(np.full(4, np.nan))
 ADVICE = say("check for objects on the patient, then set the reference again")
@@ -127,7 +131,8 @@ class _Reference:
 class CrossCheck:
     """Follows surface, colour and scene; owned by the pipeline's thread.
 
-    ``shapes`` are the shapes of breathing learned with the model in use, if any.
+    ``shapes`` are the shapes of breathing learned with the model in use, if any; ``doubt`` is that the camera or the
+    couch has moved since the reference, None where neither has.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -140,6 +145,8 @@ class CrossCheck:
         self._model: StoredModes | None = None
         self._reference: _Reference | None = None
         self._disagreements: dict[str, Lost] = {}
+        self._tightened = dict(AGREEING)
+        self.doubt: Lost | None = None
         self._settled_mm = 0.0
         self._newest_color: tuple[ColorImage, FloatArray] | None = None
         self.position: BodyPosition | None = None
@@ -153,7 +160,8 @@ class CrossCheck:
         self._forget_changes()
 
     def _forget_changes(self) -> None:
-        self._disagreements, self._settled_mm, self.position, self.evidence = {}, 0.0, None, None
+        self._disagreements, self._tightened = {}, dict(AGREEING)
+        self._settled_mm, self.position, self.evidence, self.doubt = 0.0, None, None, None
         self._scene.restart()
         for number, one in enumerate(self._recent):
             self._recent[number] = one._replace(scene_mm=_UNKNOWN_MM)  # against the scene of before
@@ -213,7 +221,7 @@ class CrossCheck:
         """
         if model is not self._model:
             self._learn_shapes(model, learned if isinstance(learned, LearnedShapes) else None)
-        cells_mm = _mean([one.cells_mm for one in self._recent])
+        cells_mm = _mean(list(map(_CELLS_MM, self._recent)))
         chroma = self._recent[-1].chroma
         newest = self._recent[-1]
         if is_reference_due or self._reference is None:
@@ -245,7 +253,7 @@ class CrossCheck:
             self._reference.add(self._recent[-1].cells_mm, self._recent[-1].timestamp_us)
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
-        moved_mm = _largest_mean_mm([one.scene_mm for one in self._recent])
+        moved_mm = _largest_mean_mm(list(map(_SCENE_MM, self._recent)))
         change = self._surface_change(reference, cells_mm)
         color = color_change(reference.chroma, chroma, reference.newest_chroma)
         self.evidence = Evidence(
@@ -259,18 +267,18 @@ class CrossCheck:
             "colour": self._color_changed(self._changed_share(reference, chroma, color)),
             "surface": self._surface_changed(change),
         }
-        self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
+        self._disagreements = {}
+        for name, lost in found.items():
+            self._tightened[name] = 1.0 if lost is None else RETURNED
+            if lost is not None:
+                self._disagreements[name] = lost
+        self.doubt = found["camera"]
         return self._disagreements.get("colour") or self._disagreements.get("surface")
-
-    @property
-    def doubt(self) -> Lost | None:
-        """That the camera or the couch has moved since the reference; None where neither has."""
-        return self._disagreements.get("camera")
 
     def _camera_moved(self, moved_mm: float) -> Lost | None:
         if math.isnan(moved_mm):
-            return self._disagreements.get("camera")
-        if moved_mm <= self._bound("camera", CAMERA_MM):
+            return self.doubt
+        if moved_mm <= self._tightened["camera"] * CAMERA_MM:
             return None
         mover = MOVERS[self._scene.has_floor_moved]
         if mover is Mover.COUCH:
@@ -303,7 +311,7 @@ class CrossCheck:
         return max(color.changed_share, darkened)
 
     def _color_changed(self, share: float) -> Lost | None:
-        if not share > self._bound("colour", OTHER_COLOR_SHARE):
+        if not share > self._tightened["colour"] * OTHER_COLOR_SHARE:
             return None
         detail = say(
             "{share:.0%} of the region has another colour than at the reference, or is dark: {advice}",
@@ -314,7 +322,7 @@ class CrossCheck:
 
     def _surface_change(self, reference: _Reference, cells_mm: FloatArray) -> SurfaceChange | None:
         """Return how the surface has changed since the reference; None where too little of it is seen."""
-        is_seen = np.count_nonzero(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
+        is_seen = np.add.reduce(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
         return self.shapes.change(reference.cells_mm, cells_mm) if self.shapes is not None and is_seen else None
 
     def _surface_changed(self, change: SurfaceChange | None) -> Lost | None:
@@ -329,7 +337,7 @@ class CrossCheck:
         allowed_mm = math.hypot(allowed_mm, MISFIT_OF_REDISTRIBUTED * change.redistributed_mm)
         if "surface" not in self._disagreements:
             allowed_mm += MISFIT_OF_DEEPER * deeper_mm
-        if not change.spread_mm > self._bound("surface", allowed_mm):
+        if not change.spread_mm > self._tightened["surface"] * allowed_mm:
             return None
         largest_mm = float(np.nanmax(np.abs(change.misfit_mm)))
         detail = say(
@@ -362,10 +370,6 @@ class CrossCheck:
             roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
             redistributed_mm=change.redistributed_mm,
         )
-
-    def _bound(self, name: str, allowed: float) -> float:
-        """Return the limit of a disagreement; lower while it lasts."""
-        return RETURNED * allowed if name in self._disagreements else allowed
 
 
 def _marker_places_mm(

@@ -42,6 +42,7 @@ class PresentNoise:
         self._last_us = 0
         self._variance_mm2 = self._soon_mm2 = 0.0
         self._frames = 0
+        self.noise_mm = math.nan
 
     def add(self, cells_mm: FloatArray, timestamp_us: int) -> None:
         """Take the means of a frame's cells [mm], shape (cells,); NaN for those not seen."""
@@ -60,11 +61,8 @@ class PresentNoise:
         self._frames += 1
         self._variance_mm2 += max(WEIGHT, 1.0 / self._frames) * (variance_mm2 - self._variance_mm2)
         self._soon_mm2 += max(SOON_WEIGHT, 1.0 / self._frames) * (variance_mm2 - self._soon_mm2)
-
-    @property
-    def noise_mm(self) -> float:
-        """The noise as in `engine.core.motion_model.MotionModel` [mm]; NaN while it is not known."""
-        return math.nan if self._frames < LEAST_FRAMES else self._side_px * math.sqrt(self._variance_mm2)
+        if self._frames >= LEAST_FRAMES:
+            self.noise_mm = self._side_px * math.sqrt(self._variance_mm2)
 
     def counting(self, trained_mm: float) -> float:
         """Return the noise that tolerances count with: the smaller of the training's and the present one [mm]."""

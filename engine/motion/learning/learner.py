@@ -208,20 +208,20 @@ class Learner:
         """
         self.journal.now_us = timestamp_us
         self.reference.drop_late_request()
-        self.reference.use_past()
-        self.models.collect()
-        self.models.switch_if_allowed()
-        self.models.retrain_if_due()
+        if self._past.is_following:
+            self.reference.use_past()
+        self.models.begin_frame()
         return self.needs(timestamp_us)
 
     def needs(self, timestamp_us: int) -> FrameNeeds:
         """Return what learning needs of a frame of this time."""
         models = self.models
+        is_gathering = models.is_gathering
         return FrameNeeds(
             active=models.active,
-            is_gathering=models.is_gathering,
+            is_gathering=is_gathering,
             takes_lost_frames=models.takes_lost_frames,
-            is_fine=models.active is None or models.is_gathering or self._is_kept(timestamp_us),
+            is_fine=models.active is None or is_gathering or self._is_kept(timestamp_us),
         )
 
     def _is_kept(self, timestamp_us: int) -> bool:

@@ -195,7 +195,7 @@ class ModelLifecycle:
             return _note(say("fitting the model"), share=1.0)
         if self.candidate is not None:
             return _note(say("a new model is ready: it is used when the gate is disarmed"), share=1.0)
-        return _note(self._journal.recent_refusal, share=0.0) if self._journal.recent_refusal else None
+        return _note(refusal, share=0.0) if refusal and self._journal.recent_refusal else None
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -308,12 +308,21 @@ class ModelLifecycle:
             self._journal.emit(LearningEventKind.STARTED, say("the model is refitted to the session so far"))
             self.start(StepsJob(job=job, steps=self.depth_steps), JobEvent.REFIT)
 
-    def retrain_if_due(self) -> None:
+    def begin_frame(self) -> None:
+        """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
+        if self._job is not Job.NONE:
+            self.collect()
+        if self.candidate is not None:
+            self.switch_if_allowed()
+        if self.setup.settings.retrain_interval_s > 0.0:
+            self._retrain_if_due()
+
+    def _retrain_if_due(self) -> None:
         """Start a training where the interval of retraining has passed."""
         interval_s, now_us = self.setup.settings.retrain_interval_s, self._journal.now_us
         self._learned_us = min(self._learned_us, now_us)  # the device's clock may restart
         is_free = self.active is not None and self._task is None and self._job is Job.NONE
-        if interval_s > 0.0 and is_free and now_us - self._learned_us >= interval_s * 1e6:
+        if is_free and now_us - self._learned_us >= interval_s * 1e6:
             self.begin_learning()
             figures = {"interval_s": interval_s}
             self._journal.emit(LearningEventKind.STARTED, say("the retraining interval has passed"), figures)

@@ -172,11 +172,15 @@ class PastBreaths:
 
 
 class PastFollower:
-    """Follows the frames from before the first model behind its fit; owned by the pipeline's thread."""
+    """Follows the frames from before the first model behind its fit; owned by the pipeline's thread.
+
+    ``is_following`` is whether some may wait: an attribute, since every frame reads it.
+    """
 
     def __init__(self, vertices: Vertices) -> None:
         self._frames = PastFrames(vertices)
         self._breaths: PastBreaths | None = None
+        self.is_following = False
 
     @property
     def stretch(self) -> Stretch:
@@ -189,11 +193,11 @@ class PastFollower:
 
     def forget(self) -> None:
         """Follow them no further: the patient or the camera may be elsewhere."""
-        self._breaths = None
+        self._breaths, self.is_following = None, False
 
     def is_due(self, timestamp_us: int, *, has_model: bool) -> bool:
         """Whether a frame of this time is kept: without a model, and until those of the first fit are followed."""
-        return (not has_model or self._breaths is not None) and self._frames.is_due(timestamp_us)
+        return (not has_model or self.is_following) and self._frames.is_due(timestamp_us)
 
     def keep(self, frame: TrainingFrame, *, has_model: bool) -> None:
         """Keep a frame that is due."""
@@ -202,7 +206,7 @@ class PastFollower:
 
     def begin(self, breaths: PastBreaths | None) -> None:
         """Follow the frames that arrived during the first fit; other models have none."""
-        self._breaths = breaths
+        self._breaths, self.is_following = breaths, breaths is not None
         if breaths is None:
             self._frames.clear()
 
@@ -211,6 +215,6 @@ class PastFollower:
         breaths = self._breaths
         if breaths is None or not breaths.follow(self._frames.stretch, FOLLOWED_AT_ONCE):
             return None
-        self._breaths = None
+        self.forget()
         self._frames.clear()
         return breaths.proposals

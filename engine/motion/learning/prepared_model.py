@@ -73,7 +73,8 @@ class SeenWeights:
             return self._shares(seen.astype(np.float32))
         shares = np.empty(len(self.rows) * self.columns.shape[1] + len(self.others), dtype=np.float32)
         compiled.seen_shares(np.ascontiguousarray(seen), self.rows, self.columns, self.others, 10.0**DIGITS, shares)
-        return frozen(shares)
+        shares.setflags(write=False)
+        return shares
 
     def _shares(self, share: FloatArray) -> FloatArray:
         """Compute them with numpy."""

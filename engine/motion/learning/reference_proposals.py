@@ -151,7 +151,7 @@ class ReferenceProposals:
         """Keep a frame; after a gap, and for another signal, nothing before it counts."""
         frames = self._frames
         is_gap = bool(frames) and not 0 < timestamp_us - frames[-1].timestamp_us <= MAX_GAP_US
-        if is_gap or self._signal != signal:
+        if is_gap or (self._signal is not signal and self._signal != signal):
             self.clear()
         if active is not self._active:
             self._released, self._frames = frames, deque()

@@ -23,7 +23,7 @@ from engine.core.errors import TrainingRefusedError
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.training_set import TrainingFrame, Vertices, evenly
-from engine.motion.stages.projection import STRIDE_PX, project
+from engine.motion.stages.projection import project
 from engine.motion.stages.surface import grid_triangles, volume_l
 
 TRANSFER_FRAMES = 40
@@ -179,10 +179,10 @@ class RecentFrames:
         self._frames: deque[tuple[int, RoiDepth]] = deque(maxlen=FRAMES)
 
     def add(self, roi: RoiDepth, timestamp_us: int) -> None:
-        """Add a frame; a gap clears the frames before it."""
+        """Add a frame, sampled at `STRIDE_PX`; a gap clears the frames before it."""
         if self._frames and not 0 < timestamp_us - self._frames[-1][0] <= MAX_GAP_US:
             self.reset()
-        self._frames.append((timestamp_us, roi.thinned(STRIDE_PX)))
+        self._frames.append((timestamp_us, roi))
 
     def reset(self) -> None:
         """Clear the buffer."""

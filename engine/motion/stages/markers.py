@@ -146,8 +146,9 @@ def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSear
     if refused is not None:
         return refused
     moments, is_found = _refine(color, expected_px, search)
-    missing = [corner for corner, is_there in zip(CORNERS, is_found.tolist(), strict=True) if not is_there]
-    if missing:
+    are_there = is_found.tolist()
+    if False in are_there:
+        missing = [corner for corner, is_there in zip(CORNERS, are_there, strict=True) if not is_there]
         where = say("no marker is near its last position") if len(missing) == len(CORNERS) else missing_text(missing)
         return Lost(reason=LostReason.MARKER_LOST, detail=where)
     found = moments[:, 6:].copy()
@@ -198,11 +199,17 @@ def _width_and_length(corners: FloatArray) -> tuple[float, float]:
 
 
 def layout_change(centers_px: FloatArray, reference_px: FloatArray) -> float:
-    """Return the largest relative change of the six distances between markers from a reference layout."""
-    pairs = itertools.combinations(zip(centers_px.tolist(), reference_px.tolist(), strict=True), 2)
-    return max(
-        [abs(math.dist(now, other_now) / math.dist(then, other) - 1.0) for (now, then), (other_now, other) in pairs]
-    )
+    """Return the largest relative change of the six distances between markers from a reference layout; NaN of NaN."""
+    largest = 0.0
+    for (now, then), (other_now, other) in itertools.combinations(
+        zip(centers_px.tolist(), reference_px.tolist(), strict=True), 2
+    ):
+        change = abs(math.dist(now, other_now) / math.dist(then, other) - 1.0)
+        if not change <= largest:
+            largest = change
+            if math.isnan(change):
+                break
+    return largest
 
 
 def _whiteness(color: ColorImage) -> GrayImage:

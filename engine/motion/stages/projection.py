@@ -188,31 +188,28 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None, noise_mm: flo
     Projection | None
         None when nothing of the region was seen, or nothing of it follows from what was seen.
     """
-    thin = roi.thinned(STRIDE_PX)
+    thin = roi if roi.stride_px == STRIDE_PX else roi.thinned(STRIDE_PX)
     if basis.locking_table_mm is not None:
         thin = replace(thin, depth_mm=corrected(thin.depth_mm, basis.locking_table_mm))
-    found = _projected(basis, thin, start)
     added_mm = noise_residual_mm(basis.noise_mm if noise_mm is None else noise_mm)
-    if found is None or added_mm == 0.0:
-        return found
-    return replace(found, residual_mm=max(found.residual_mm - added_mm, 0.0))
+    return _projected(basis, thin, start, added_mm)
 
 
-def _projected(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
-    """Find the coefficients; the residual is that of the readings, with all of their noise."""
+def _projected(basis: Basis, thin: RoiDepth, start: FloatArray | None, added_mm: float) -> Projection | None:
+    """Find the coefficients; ``added_mm`` is taken off the residual."""
     if FramePath.kernels is None:
-        return _project_or_none(basis, thin, start)
+        return _project_or_none(basis, thin, start, added_mm)
     coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
     is_projected = _project_compiled(basis, thin, start, (coefficients, is_seen, figures))
     if is_projected is None:  # a matrix that is not positive, or a result that is not finite
-        return _project_or_none(basis, thin, start)
+        return _project_or_none(basis, thin, start, added_mm)
     if not is_projected:
         return None
     seen, inliers, known, residual_mm = figures.tolist()
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
-        residual_mm=residual_mm,
+        residual_mm=max(residual_mm - added_mm, 0.0),
         valid_share=seen / max(known, 1.0),
         inlier_share=inliers / seen,
         is_seen=is_seen,
@@ -250,9 +247,10 @@ def _project_compiled(
     return is_projected
 
 
-def _project_or_none(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
+def _project_or_none(basis: Basis, thin: RoiDepth, start: FloatArray | None, added_mm: float) -> Projection | None:
     try:
-        return _project(basis, thin, start)
+        found = _project(basis, thin, start)
+        return None if found is None else replace(found, residual_mm=max(found.residual_mm - added_mm, 0.0))
     except np.linalg.LinAlgError:
         return None
 

@@ -5,6 +5,7 @@ reconstructed pixels in every frame. ``motion = reference - current``: positive 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -51,7 +52,7 @@ class RegionLayout:
         check_regions(self.named)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RegionMeans:
     """Means over the cells of a grid, row by row, then whole, thorax, abdomen, then single points, then named regions.
 
@@ -86,12 +87,12 @@ class RegionMeans:
         depth: FloatArray = self.mean_mm + self.modes @ coefficients
         return depth
 
-    @property
+    @cached_property
     def cells(self) -> int:
         """Number of cells of the grid."""
         return self.rows * self.columns
 
-    @property
+    @cached_property
     def ends(self) -> tuple[int, int, int]:
         """Where the cells end, the wide regions and the single points; named regions come last."""
         cells = self.rows * self.columns

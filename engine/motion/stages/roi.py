@@ -81,7 +81,7 @@ def color_from_grid(centers_px: FloatArray, right: float, bottom: float) -> Floa
 
 def roi_nodes(centers_px: FloatArray) -> FloatArray:
     """Return the colour pixels (x, y) of the region's nodes [px], shape (nodes, 2)."""
-    homography = color_from_roi(centers_px)
+    homography = color_from_grid(centers_px, ROI_COLUMNS - 1.0, ROI_ROWS - 1.0)
     compiled = FramePath.kernels
     if compiled is not None:
         nodes_px = np.empty(_NODES_FLAT.shape)

@@ -11,10 +11,11 @@ Measures frames from before the model, once there is one, as live frames are; ru
 
 import math
 from functools import lru_cache
+from operator import attrgetter
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.frames import FloatArray, Motion, PhaseLag, Projection, SeenShares, frozen
+from engine.core.frames import FloatArray, Motion, PhaseLag, Projection, SeenShares
 from engine.motion.breathing import (
     BreathingState,
     correct_baseline,
@@ -31,6 +32,7 @@ from engine.motion.learning.training_set import TrainingFrame, Vertices
 US_PER_S = 1e6
 MAX_SIGNALS = 4
 MIN_SEEN_SHARE = 0.5
+_BREATH = attrgetter("breath")
 
 
 def check_signals(signals: tuple[SignalChoice, ...]) -> None:
@@ -78,10 +80,11 @@ class BreathTracker:
     def follow(self, motion: Motion, timestamp_us: int) -> tuple[Breath, ...]:
         """Add a measured frame; return the breathing figures of each signal."""
         seconds = timestamp_us / US_PER_S
-        self._states = tuple(
-            [follow_breathing(state, seconds, _seen_mm(state.choice, motion)) for state in self._states]
-        )
-        return tuple([state.breath for state in self._states])
+        states = []
+        for state in self._states:
+            states.append(follow_breathing(state, seconds, _seen_mm(state.choice, motion)))  # noqa: PERF401 - sooner
+        self._states = tuple(states)
+        return tuple(map(_BREATH, states))
 
 
 def _seen_mm(choice: SignalChoice, motion: Motion) -> float:
@@ -115,6 +118,7 @@ def motion_from(
     motion_mm = reference.regions_mm - depth_mm
     regions = active.regions
     (cells, points_from, named_from), shape = regions.ends, (regions.rows, regions.columns)
+    surface.setflags(write=False)
     whole, thorax, abdomen = motion_mm[cells:points_from].tolist()
     weights = active.seen_weights
     return Motion(
@@ -128,7 +132,7 @@ def motion_from(
         named_mm=motion_mm[named_from:],
         projection=outcome,
         lags=lags,
-        surface_mm=frozen(surface),
+        surface_mm=surface,
         split_rows=regions.layout.split,
         seen=weights.by_region(weights.shares(outcome.is_seen)),
         reference_seen=_reference_seen(reference, weights),

@@ -38,24 +38,24 @@ FOLLOWED_SHARE = 0.3
 
 
 class DepthTable:
-    """Estimates the depth of each reading from the first frames."""
+    """Estimates the depth of each reading from the first frames.
+
+    ``is_settled`` is whether enough frames were counted, so that the table is final; ``steps`` are those of the
+    sensor's readings, None before that, and for a sensor without steps.
+    """
 
     def __init__(self, correction: DepthCorrection | None) -> None:
         self._correction = correction
-        self._frames = 0
+        self._frames, self.is_settled = 0, False
         self._counts = np.zeros(DEPTH_VALUES, dtype=np.int64)
         self.steps: DepthSteps | None = None
         self.table_mm = self._corrected(depth_table_mm(None))
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether enough frames were counted, so that the table is final."""
-        return self._frames >= COUNTED_FRAMES
 
     def count(self, depth_mm: DepthImage) -> None:
         """Count one picture's readings; the last one completes the table."""
         self._counts += count_readings(depth_mm)
         self._frames += 1
+        self.is_settled = self._frames >= COUNTED_FRAMES
         if self.is_settled:
             self.steps = find_steps(self._counts)
             self.table_mm = self._corrected(depth_table_mm(self.steps))
@@ -95,16 +95,6 @@ class RegionTracker:
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
         self._is_depth_modelled = False
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether the depth table is final."""
-        return self.table.is_settled
-
-    @property
-    def depth_steps(self) -> DepthSteps | None:
-        """The steps of the sensor's readings; None before the table is final, and for a sensor without steps."""
-        return self.table.steps
 
     @property
     def has_layout(self) -> bool:

@@ -78,7 +78,7 @@ class _Stream:
         if earlier is None or earlier.shape != picture.shape:
             earlier = self.earlier = _Depths.of(picture.shape) if self.is_depth else _Colors.of(picture.shape)
         seen, self.thin = earlier.look(picture), earlier.thin
-        is_old = bool(seen & READ) and (bool(seen & NEARLY) or self._was_seen(seen, picture))
+        is_old = bool(seen & READ) and bool(seen & NEARLY or (seen & SAME and self._was_seen(seen, picture)))
         self.is_in_part = bool(seen & PART) and bool(seen & READ) and not is_old and earlier.has_part()
         self.picture = picture
         if is_old or self.is_in_part:
@@ -89,35 +89,29 @@ class _Stream:
 
     def _was_seen(self, seen: int, picture: Picture) -> bool:
         """Whether it equals the last picture in every pixel, or the thinned view of an earlier one."""
-        if not seen & SAME:
-            return False
         is_next_to_last = self.repeats == 0 and seen & LAST
         return not is_next_to_last or (self.picture is not None and np.array_equal(self.picture, picture))
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Colors:
-    """Thinned views of the last new colour pictures of one size, in a ring; ``view`` is that of the newest."""
+    """Thinned views of the last new colour pictures of one size, in a ring.
+
+    ``thin`` is every 16th row and column of the newest, and ``view`` the same as one row.
+    """
 
     shape: tuple[int, ...]
     views: npt.NDArray[np.uint8]
     view: npt.NDArray[np.uint8]
+    thin: Picture
     oldest: int = 0
 
     @staticmethod
     def of(shape: tuple[int, ...]) -> "_Colors":
         """Make an empty ring."""
-        size = math.prod([-(-side // THINNING_PX) for side in shape[:2]]) * math.prod(shape[2:])
-        return _Colors(
-            shape=shape,
-            views=np.zeros((EARLIER_PICTURES, size), dtype=np.uint8),
-            view=np.zeros(size, dtype=np.uint8),
-        )
-
-    @property
-    def thin(self) -> Picture:
-        """Every 16th row and column of the newest."""
-        return self.view.reshape(*[-(-side // THINNING_PX) for side in self.shape[:2]], *self.shape[2:])
+        thin = np.zeros((*[-(-side // THINNING_PX) for side in shape[:2]], *shape[2:]), dtype=np.uint8)
+        views = np.zeros((EARLIER_PICTURES, thin.size), dtype=np.uint8)
+        return _Colors(shape=shape, views=views, view=thin.reshape(-1), thin=thin)
 
     def look(self, picture: Picture) -> int:
         """Return what the thinned view of a picture tells."""
@@ -151,7 +145,7 @@ class _Depths:
     """The last new depth pictures of one size, in rings of `EARLIER_PICTURES`.
 
     ``readings`` are their thinned views, ``prints`` fingerprints of these by tile, ``tiles`` less thinned views;
-    ``row``, ``marks`` and ``spare`` are the same of the picture that is looked at. ``new_share``, over ``compared``
+    ``row``, ``marks`` and ``thin`` are the same of the picture that is looked at. ``new_share``, over ``compared``
     pictures, is the share of those in the last second in which a tile was new.
     """
 
@@ -162,7 +156,7 @@ class _Depths:
     tiles: list[npt.NDArray[np.uint16]]
     row: npt.NDArray[np.uint16]
     marks: npt.NDArray[np.int64]
-    spare: npt.NDArray[np.uint16]
+    thin: npt.NDArray[np.uint16]
     new_share: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(TILE_ROWS * TILE_COLUMNS))
     oldest: int = 0
     compared: int = -1
@@ -181,13 +175,8 @@ class _Depths:
             tiles=list(views[1:]),
             row=np.zeros(size, dtype=np.uint16),
             marks=np.zeros(tiles, dtype=np.int64),
-            spare=views[0],
+            thin=views[0],
         )
-
-    @property
-    def thin(self) -> Picture:
-        """Every fourth row and column of the picture that is looked at."""
-        return self.spare
 
     def look(self, picture: Picture) -> int:
         """Return what the thinned view of a picture tells."""
@@ -209,14 +198,14 @@ class _Depths:
             NEW_SHARE,
             self.row,
             self.marks,
-            self.spare,
+            self.thin,
         )
         return seen
 
     def _look(self, picture: Picture, newest: int) -> int:
         """Return the same with numpy."""
         self.row[:] = picture[::THINNING_PX, ::THINNING_PX].ravel()
-        self.spare[:] = picture[::TILE_PX, ::TILE_PX]
+        self.thin[:] = picture[::TILE_PX, ::TILE_PX]
         self.marks[:] = 0
         np.add.at(self.marks, self.places.tile_of, self.row * self.places.weights)
         count = int(np.count_nonzero(self.row))
@@ -243,7 +232,7 @@ class _Depths:
 
     def _tile_agrees(self, slot: int, tile: int) -> bool:
         rows, columns = self.places.tiles[tile]
-        now, before = self.spare[rows, columns], self.tiles[slot][rows, columns]
+        now, before = self.thin[rows, columns], self.tiles[slot][rows, columns]
         is_read = now > 0
         count = np.count_nonzero(is_read)
         return bool(count >= LEAST_OF_A_TILE and np.count_nonzero((now == before) & is_read) >= OLD_TILE_SHARE * count)
@@ -254,13 +243,13 @@ class _Depths:
         self.compared += 1
         if self.compared > 0:
             are_new = self.prints[before] != self.marks
-            if not are_new.all():
+            if not np.logical_and.reduce(are_new):
                 for tile in np.flatnonzero(~are_new):
                     are_new[tile] = not self._tile_agrees(before, int(tile))
             self.new_share += max(NEW_WEIGHT, 1.0 / self.compared) * (are_new - self.new_share)
         self.readings[slot] = self.row
         self.prints[slot] = self.marks
-        self.tiles[slot], self.spare = self.spare, self.tiles[slot]
+        self.tiles[slot], self.thin = self.thin, self.tiles[slot]
         self.oldest = (slot + 1) % EARLIER_PICTURES
 
 

@@ -20,6 +20,7 @@ measurement, every distance has to be within that range and a small margin.
 import itertools
 import math
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -42,6 +43,7 @@ CALM_US = 1_000_000
 # Share of a change that a plane may leave when the patient moves as a whole; a sheet over one side leaves half.
 BENT_SHARE = 0.3
 PAIRS = tuple(itertools.combinations(range(4), 2))
+_ONES, _OTHERS = (itemgetter(*corners) for corners in zip(*PAIRS, strict=True))
 MARGIN_MM = 3.0
 """How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
 CORNER_PX = 20
@@ -243,13 +245,11 @@ class MarkerLayout:
         else:
             is_followed = not self._is_doubted and timestamp_us - self._seen_us <= MAX_HIDDEN_US
             low_mm, high_mm = (self._last_mm, self._last_mm) if is_followed else (self._lowest_mm, self._highest_mm)
-            beyond_mm = [
-                max(low - now, now - high, 0.0) for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)
-            ]
-            if False in [beyond <= MARGIN_MM for beyond in beyond_mm]:  # also for NaN
-                self._is_doubted = True
-                detail = _rescaled(low_mm, now_mm, high_mm) or _described(tuple(beyond_mm))
-                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=detail)
+            for low, now, high in zip(low_mm, now_mm, high_mm, strict=True):
+                if not max(low - now, now - high, 0.0) <= MARGIN_MM:  # also for NaN
+                    self._is_doubted = True
+                    detail = _rescaled(low_mm, now_mm, high_mm) or _described(low_mm, now_mm, high_mm)
+                    return Lost(reason=LostReason.LAYOUT_CHANGED, detail=detail)
             self._lowest_mm = tuple(map(min, self._lowest_mm, now_mm))
             self._highest_mm = tuple(map(max, self._highest_mm, now_mm))
         self._last_mm, self._seen_us, self._is_doubted = now_mm, timestamp_us, False
@@ -259,7 +259,7 @@ class MarkerLayout:
 def distances_mm(points_mm: FloatArray) -> Distances:
     """Return the six distances between four points, shape (4, 3) [mm], in the order of `PAIRS`."""
     places = points_mm.tolist()
-    return tuple([math.dist(places[one], places[other]) for one, other in PAIRS])
+    return tuple(map(math.dist, _ONES(places), _OTHERS(places)))
 
 
 def _rescaled(low_mm: Distances, now_mm: Distances, high_mm: Distances) -> str | None:
@@ -275,8 +275,9 @@ def _rescaled(low_mm: Distances, now_mm: Distances, high_mm: Distances) -> str |
     )
 
 
-def _described(beyond_mm: Distances) -> str:
+def _described(low_mm: Distances, now_mm: Distances, high_mm: Distances) -> str:
     """Name the marker whose distances to the three others changed most in sum, and their largest change."""
+    beyond_mm = [max(low - now, now - high, 0.0) for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)]
     sums = [sum(beyond for beyond, pair in zip(beyond_mm, PAIRS, strict=True) if marker in pair) for marker in range(4)]
     return say(
         "a distance of the {corners} marker is {beyond_mm:.0f} mm beyond its range: "

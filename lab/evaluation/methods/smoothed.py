@@ -37,7 +37,7 @@ class SmoothedPca:
     def add_frame(self, frame: RgbdFrame) -> None:
         """Sample a frame's region; left out are frames without markers, and the first, before the steps are known."""
         found = self._tracker.find(frame)
-        if isinstance(found, Markers) and self._tracker.is_settled:
+        if isinstance(found, Markers) and self._tracker.table.is_settled:
             _, roi = self._tracker.region(frame, found, STRIDE_PX, has_model=False)
             self._depth_mm[frame.index] = np.where(roi.valid, roi.depth_mm, np.float32(np.nan))
 

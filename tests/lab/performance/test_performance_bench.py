@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 US = 1000.0
 MB = 1_000_000
-MOST_CALLS = 560.0
+MOST_CALLS = 360.0
 HURRIED = TrainingSettings(min_frames=40, min_cycles=0, min_seconds=3.0, max_seconds=6.0, max_frames=200)
 
 
