@@ -9,7 +9,6 @@ Times are host monotonic nanoseconds and are arguments: nothing here reads a clo
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
@@ -71,6 +70,7 @@ TRANSITIONS: dict[tuple[GateState, EventKind], GateState] = {
     (_S.FAULT, _K.ACKNOWLEDGE): _S.DISARMED,
 }
 """All transitions; for every other pair see :func:`next_state`."""
+_Seen = tuple[WindowInput, tuple[SignalNow, ...]]
 _KIND_OF_COMMAND: dict[type, EventKind] = {
     Arm: EventKind.ARM,
     Disarm: EventKind.DISARM,
@@ -194,22 +194,15 @@ def _step_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits)
     return _remember(gate, _follow_stay(moved, verdict, frame, seen, now_ns, limits), frame, last)
 
 
-class _Seen(NamedTuple):
-    """The part of a measured frame that the window uses, and the signal of each of its conditions."""
-
-    frame: WindowInput
-    signals: tuple[SignalNow, ...]
-
-
 def _seen_by_window(frame: Measurement, limits: GateLimits) -> _Seen | None:
-    """Return what the window sees of a frame, sound or not; None without a measurement."""
+    """Return what the window uses of a frame, sound or not, with each condition's signal; None without a motion."""
     if frame.motion is None:
         return None
     seen = WindowInput(frame.motion, frame.breaths, frame.timestamp_us, limits.breath_depths)
     signals: tuple[SignalNow, ...] = ()
     for leaf in limits.window.leaves:
         signals += (leaf.signal_now(seen),)
-    return _Seen(seen, signals)
+    return seen, signals
 
 
 def _follow_stay(
@@ -224,7 +217,7 @@ def _follow_stay(
         return moved
     on_ns = moved.stay.on_ns + _on_ns(moved, now_ns, limits)
     is_on = moved.state is GateState.BEAM_ON
-    conditions = permitted(seen.signals, moved.conditions, on_ns=on_ns, is_on=is_on)
+    conditions = permitted(seen[1], moved.conditions, on_ns=on_ns, is_on=is_on)
     return moved if conditions is moved.conditions else replace(moved, conditions=conditions)
 
 
@@ -368,10 +361,10 @@ def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | Non
 def _judge_window(gate: Gate, frame: Measurement, seen: _Seen, now_ns: int, limits: GateLimits) -> Verdict:
     window = limits.window
     states = gate.conditions if len(gate.conditions) == len(window.leaves) else initial_states(window)
-    states = followed(seen.signals, states, limits.max_gap_ms)
+    states = followed(seen[1], states, limits.max_gap_ms)
     on_ns = gate.stay.on_ns + _on_ns(gate, now_ns, limits)
     stay_from_ns = breathed_from_ns(window, states, on_ns)
-    found = window.judge(seen.frame, states)
+    found = window.judge(seen[0], states)
     if stay_from_ns is not None:
         on_ns -= stay_from_ns
         found = found._replace(states=begun(found.states))
@@ -392,7 +385,8 @@ def _judge_inside(
         return refused._replace(conditions=interrupted(found.states))
     if not _has_dwelt(gate, frame, limits):
         return Verdict(EventKind.INSIDE, conditions=found.states)
-    return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
+    too_soon = None if gate.state is GateState.BEAM_ON else _too_soon(gate, now_ns, limits, found.states)
+    return too_soon or Verdict(EventKind.DWELT, conditions=found.states)
 
 
 def _on_too_long(stay: Stay, on_ns: int) -> Verdict | None:
@@ -410,9 +404,7 @@ def _on_too_long(stay: Stay, on_ns: int) -> Verdict | None:
 
 
 def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[ConditionState, ...]) -> Verdict | None:
-    """Return why the switching limits still forbid beam on; None while the beam is on."""
-    if gate.state is GateState.BEAM_ON:
-        return None
+    """Return why the switching limits still forbid beam on, for a gate without beam."""
     off_ns = needed_ns = ns_from_ms(limits.min_off_ms)
     if gate.off_since_ns is not None:
         off_ns = max(now_ns - gate.off_since_ns, 0)
@@ -435,7 +427,7 @@ def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[Conditi
 def _has_dwelt(gate: Gate, frame: Measurement, limits: GateLimits) -> bool:
     if gate.inside_since_ns is None or gate.inside_since_us is None:
         return False
-    dwell_ns = ns_from_ms(limits.dwell_ms + (limits.min_on_ms if gate.was_cut_short else 0.0))
+    dwell_ns = limits.dwell_ns_after_cut_short if gate.was_cut_short else limits.dwell_ns
     return (
         gate.good_frames + 1 >= limits.min_good_frames
         and frame.received_ns - gate.inside_since_ns >= dwell_ns

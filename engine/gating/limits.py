@@ -276,6 +276,16 @@ class GateLimits:
         return ns_from_ms(self.lease_ms)
 
     @cached_property
+    def dwell_ns(self) -> int:
+        """The dwell [ns]."""
+        return ns_from_ms(self.dwell_ms)
+
+    @cached_property
+    def dwell_ns_after_cut_short(self) -> int:
+        """The dwell after a beam on that was shorter than the shortest [ns]."""
+        return ns_from_ms(self.dwell_ms + self.min_on_ms)
+
+    @cached_property
     def has_breath_hold(self) -> bool:
         """Whether a condition of the window is a breath hold."""
         return True in [isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves]

@@ -197,6 +197,7 @@ class Pipeline:
     def measure_again(self, earlier: LearnedInPass) -> None:
         """Measure a recording from its first frame with what an earlier pass has learned."""
         learned, self._tracker.table = earlier.learned, earlier.table
+        self.learner.models.depth_steps = None
         self.learner.use(learned)
         self._trust.second_estimate.use(earlier.shapes)
         if learned.active is not None:
@@ -228,7 +229,8 @@ class Pipeline:
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=needs.active is not None)
         if not self._tracker.table.is_settled:
             return self._without_model(frame, roi, found)
-        self.learner.models.depth_steps = stored_steps(self._tracker.table.steps)
+        if self.learner.models.depth_steps is None:
+            self.learner.models.depth_steps = stored_steps(self._tracker.table.steps)
         thin = roi if roi.stride_px == STRIDE_PX else roi.thinned(STRIDE_PX)
         self._trust.observe(frame, self._repeated.thin, found, roi, thin)
         if needs.is_gathering and needs.active is None:

@@ -27,7 +27,7 @@ class SurfaceTrust:
         self._layout = MarkerLayout()
         self.second_estimate = CrossCheck(calibration)
         self._continuity = SurfaceContinuity()
-        self._timestamp_us = 0
+        self._timestamp_us, self._position_generation = 0, -1
         self._found: Markers | None = None
         self._points_mm: FloatArray | None = None
         self._disagreement: Lost | None = None
@@ -77,19 +77,19 @@ class SurfaceTrust:
         Where the camera or the couch has moved too, that is named: it explains a surface that has changed. A movement
         alone is a doubt (`CrossCheck.doubt`): the surface is still this patient's skin.
         """
-        self._layout.restart(position_generation)
+        if position_generation != self._position_generation:
+            self._position_generation = position_generation
+            self._layout.restart(position_generation)
+            self._continuity.restart(position_generation)
         elsewhere = self._layout.lost(self._points_mm, self._timestamp_us)
         if elsewhere is not None:
             return elsewhere
-        lost = self._disagreement or self._discontinuity(active, node_depth_mm, noise_mm, position_generation)
+        lost = self._disagreement or self._discontinuity(active, node_depth_mm, noise_mm)
         return None if lost is None else self.second_estimate.doubt or lost
 
-    def _discontinuity(
-        self, active: PreparedModel, node_depth_mm: FloatArray, noise_mm: float, position_generation: int
-    ) -> Lost | None:
+    def _discontinuity(self, active: PreparedModel, node_depth_mm: FloatArray, noise_mm: float) -> Lost | None:
         if self._found is None:
             return None
-        self._continuity.restart(position_generation)
         observed = ObservedSurface(
             depth_mm=node_depth_mm, markers_px=self._found.centers_px, timestamp_us=self._timestamp_us
         )

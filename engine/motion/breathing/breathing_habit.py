@@ -51,12 +51,15 @@ def usual_shape(shapes: list[Shape]) -> Shape:
     return tuple(median(heights) for heights in zip(*shapes, strict=True))
 
 
-def height_at(shape: Shape, percent: float) -> float:
-    """Return the height at a phase [%], linearly interpolated; the phase may exceed 100."""
-    place = (percent % 100.0) * len(shape) / 100.0
-    before = int(place) % len(shape)
-    share = place - int(place)
-    return shape[before] + share * (shape[(before + 1) % len(shape)] - shape[before])
+def heights_at(shape: Shape, *percents: float) -> list[float]:
+    """Return the height at each phase [%], linearly interpolated; a phase may exceed 100."""
+    heights = []
+    for percent in percents:
+        place = (percent % 100.0) * len(shape) / 100.0
+        before = int(place) % len(shape)
+        share = place - int(place)
+        heights.append(shape[before] + share * (shape[(before + 1) % len(shape)] - shape[before]))
+    return heights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from engine.core.replacing import replace
-from engine.motion.breathing.breathing_habit import BreathingHabit, Cycle, Path, height_at, shape_of
+from engine.motion.breathing.breathing_habit import BreathingHabit, Cycle, Path, heights_at, shape_of
 from engine.motion.breathing.cycles import FALLING, RISING, TurningPoints
 
 MIN_SPEED_MM_S = 0.1
@@ -140,13 +140,13 @@ def _is_exhale(moment: ExpectedPosition, habit: BreathingHabit, turns: TurningPo
     shape, slack = habit.shape, _slack_mm(habit)
     early, late = max(moment.percent - EARLY_OR_LATE, 0.0), moment.percent + EARLY_OR_LATE
     bottom = 100.0 * shape.index(min(shape)) / len(shape)
-    heights = [height_at(shape, early), height_at(shape, moment.percent), height_at(shape, late)]
+    at_rest = max(bottom, moment.percent - 2.0 * EARLY_OR_LATE)
+    *heights, resting, falling = heights_at(shape, early, moment.percent, late, at_rest, min(early, bottom))
     if late >= bottom:
-        # A rest may be longer than usual; the phase itself limits its delay.
-        heights.append(height_at(shape, max(bottom, moment.percent - 2.0 * EARLY_OR_LATE)))
+        heights.append(resting)  # a rest may be longer than usual; the phase itself limits its delay
     # Without a rise so far, levels of the rising flank do not count.
     has_risen = moment.level - turns.low > 0.5 * slack
-    highest = max(heights) if has_risen else height_at(shape, min(early, bottom))
+    highest = max(heights) if has_risen else falling
     depth, height = turns.high - moment.low, moment.level - moment.low
     return depth * min(heights) - slack <= height <= depth * highest + slack
 
@@ -156,13 +156,14 @@ def _is_inhale(moment: ExpectedPosition, habit: BreathingHabit, turns: TurningPo
     slack, percent = _slack_mm(habit), moment.percent
     is_near_end = percent > 100.0 - EARLY_OR_LATE
     reached = turns.high if is_near_end else moment.level
-    least = LEAST_ADVANCE * _advance(habit, percent) - LEVEL_MM
-    most = MOST_ADVANCE * _advance(habit, percent + EARLY_OR_LATE) + slack
+    past, soon = max(percent - EARLY_OR_LATE, 100.0), min(percent + EARLY_OR_LATE, 100.0)
+    started, now, later, fallen = heights_at(habit.shape, 100.0 * habit.up_share, min(percent, 100.0), soon, past)
+    least = LEAST_ADVANCE * (habit.rise * (now - started)) - LEVEL_MM
+    most = MOST_ADVANCE * (habit.rise * (later - started)) + slack
     is_far_enough = least <= reached - current.rose and moment.level - current.rose <= most
     is_going = is_near_end or moment.level >= turns.high - slack
     # A level that stays at the top does not fit a phase after the fall.
-    past = max(percent - EARLY_OR_LATE, 100.0)
-    is_low_enough = moment.level - moment.low <= (turns.high - moment.low) * height_at(habit.shape, past) + slack
+    is_low_enough = moment.level - moment.low <= (turns.high - moment.low) * fallen + slack
     return is_far_enough and is_going and is_low_enough
 
 
@@ -170,22 +171,22 @@ def _is_under_way(
     moment: ExpectedPosition, habit: BreathingHabit, direction: int, current: CurrentBreath, depth: float
 ) -> bool:
     """Whether the signal moves while a usual breath is on its flank; the phase itself limits a late turn."""
-    since = next((one for one in reversed(current.path) if moment.seconds - one[0] >= WAY_S), None)
+    since = None
+    for one in reversed(current.path):
+        if moment.seconds - one[0] >= WAY_S:
+            since = one
+            break
     if since is None or moment.is_waiting:
         return True
     back = 100.0 * (moment.seconds - since[0]) / habit.period_s
-    usual = min(
-        direction * depth * (height_at(habit.shape, at) - height_at(habit.shape, at - back))
-        for at in (moment.percent - WAY_OFF, moment.percent, moment.percent + WAY_OFF)
+    percents = moment.percent - WAY_OFF, moment.percent, moment.percent + WAY_OFF
+    early, now, late, before_early, before, before_late = heights_at(
+        habit.shape, *percents, percents[0] - back, percents[1] - back, percents[2] - back
     )
+    whole = direction * depth
+    usual = min(whole * (early - before_early), whole * (now - before), whole * (late - before_late))
     least = LEAST_WAY * usual - LEVEL_MM
     return least <= 0.0 or direction * (moment.level - since[1]) >= least
-
-
-def _advance(habit: BreathingHabit, percent: float) -> float:
-    """Advance of a usual inhale at a phase, from where its rise is detected [mm]."""
-    started = height_at(habit.shape, 100.0 * habit.up_share)
-    return habit.rise * (height_at(habit.shape, min(percent, 100.0)) - started)
 
 
 def _slack_mm(habit: BreathingHabit) -> float:

@@ -124,12 +124,13 @@ def breath_of(choice: SignalChoice, history: BreathingHistory, track: PhaseTrack
     exhale_s, exhale = history.lows[-1] if history.lows else (None, math.nan)
     exhale_us = None if exhale_s is None else round(exhale_s * US_PER_S)
     expected = history.expected
-    drift = None if exhale_s is None or expected is None else (exhale - expected) * unit
+    away = math.nan if expected is None else exhale - expected
+    drift = None if math.isnan(away) else away * unit
     lower_by = max(0.0, exhale - low) * unit
     exhale_drift = None if drift is None else drift - lower_by
     if habit is None or (history.breaths_needed == INITIAL_BREATHS and history.reason == AFTER_GAP):
         return Breath(signal=choice, note=history.reason, events=events, exhale_us=exhale_us, exhale_drift=exhale_drift)
-    phase, confidence, note = _phase(history, habit, track)
+    phase, confidence, note = _phase(history, habit, track, None if expected is None else away)
     is_breathing = history.breaths_needed == 0 or history.reason not in {HELD, APNOEA}
     return Breath(
         signal=choice,
@@ -153,16 +154,15 @@ def _rate_confidence(history: BreathingHistory, habit: BreathingHabit) -> float:
     return max(0.0, 1.0 - habit.period_spread / RATE_SPREAD) * min(1.0, len(history.cycles) / LEARNED_CYCLES)
 
 
-def _phase(history: BreathingHistory, habit: BreathingHabit, track: PhaseTrack) -> tuple[float | None, float, str]:
+def _phase(
+    history: BreathingHistory, habit: BreathingHabit, track: PhaseTrack, away: float | None
+) -> tuple[float | None, float, str]:
+    """Return phase, confidence and note; ``away`` is the distance of the last end of exhale from the expected level."""
     if history.breaths_needed > 0 or not math.isfinite(track.reported):
         return None, 0.0, history.reason
     if track.late >= WAIT_FOR_NONE:
         return None, 0.0, LATE
-    if history.expected is not None and not abs(history.low - history.expected) <= _drift_bound_mm(habit):
+    if away is not None and not abs(away) <= min(max(MIN_DRIFT_MM, DRIFT_SHARE * habit.rise), MAX_DRIFT_MM):
         return None, 0.0, DRIFTED
     trust = 0.5 if history.regularity is None else min(1.0, history.regularity / SURE_REGULARITY)
     return track.percent, trust * confidence_of(track, habit), ""
-
-
-def _drift_bound_mm(habit: BreathingHabit) -> float:
-    return min(max(MIN_DRIFT_MM, DRIFT_SHARE * habit.rise), MAX_DRIFT_MM)

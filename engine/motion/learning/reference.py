@@ -56,13 +56,6 @@ class _Newest(NamedTuple):
     at_us: int
 
 
-class TakenUp(NamedTuple):
-    """The reference of a frame, and whether it was taken up with this frame."""
-
-    reference: Reference
-    is_new: bool
-
-
 class PatientReference:
     """The reference in use, what a person has requested, and what is proposed; owned by the pipeline's thread.
 
@@ -129,18 +122,18 @@ class PatientReference:
         detail = say("the reference was not set, because the patient was not measured for a second: set it again")
         self._journal.emit(LearningEventKind.ZERO_NEEDED, detail)
 
-    def take_up(self, active: PreparedModel, present: Callable[[], Reference]) -> TakenUp:
-        """Return the reference; a requested position, or the present one, becomes it if it is due."""
+    def take_up(self, active: PreparedModel, present: Callable[[], Reference]) -> tuple[Reference, bool]:
+        """Return the reference, and whether it was taken up now: a requested position, or the present one, if due."""
         request = self._request
         if self.current is not None and request is None:
-            return TakenUp(self.current, is_new=False)
+            return self.current, False
         self.current = (None if request is None else request.position) or present()
         self.number += 1
         self.is_end_exhale = request is not None and request.moment is ReferenceMoment.END_EXHALE
         if request is not None:
             self._confirm(active, self.current, request)
         self._request = None
-        return TakenUp(self.current, is_new=True)
+        return self.current, True
 
     def _confirm(self, active: PreparedModel, reference: Reference, request: _Request) -> None:
         """Accept a reference that a person confirmed, unless it lies further from the first than was allowed."""

@@ -197,31 +197,10 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None, noise_mm: flo
 
 def _projected(basis: Basis, thin: RoiDepth, start: FloatArray | None, added_mm: float) -> Projection | None:
     """Find the coefficients; ``added_mm`` is taken off the residual."""
-    if FramePath.kernels is None:
+    compiled = FramePath.kernels
+    if compiled is None:
         return _project_or_none(basis, thin, start, added_mm)
     coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
-    is_projected = _project_compiled(basis, thin, start, (coefficients, is_seen, figures))
-    if is_projected is None:  # a matrix that is not positive, or a result that is not finite
-        return _project_or_none(basis, thin, start, added_mm)
-    if not is_projected:
-        return None
-    seen, inliers, known, residual_mm = figures.tolist()
-    return Projection(
-        beta=coefficients[: basis.components].copy(),
-        coefficients=coefficients,
-        residual_mm=max(residual_mm - added_mm, 0.0),
-        valid_share=seen / max(known, 1.0),
-        inlier_share=inliers / seen,
-        is_seen=is_seen,
-    )
-
-
-def _project_compiled(
-    basis: Basis, thin: RoiDepth, start: FloatArray | None, results: tuple[FloatArray, BoolArray, FloatArray]
-) -> bool | None:
-    """Fill the coefficients, the inliers and their numbers; None where the numpy form has to."""
-    compiled = FramePath.kernels
-    assert compiled is not None
     is_projected: bool | None = compiled.project(
         basis.sampled_components,
         basis.cosine_rows,
@@ -242,9 +221,23 @@ def _project_compiled(
         _MIN_PIXELS,
         _LIMITS,
         MAX_REWEIGHTINGS,
-        *results,
+        coefficients,
+        is_seen,
+        figures,
     )
-    return is_projected
+    if is_projected is None:  # a matrix that is not positive, or a result that is not finite
+        return _project_or_none(basis, thin, start, added_mm)
+    if not is_projected:
+        return None
+    seen, inliers, known, residual_mm = figures.tolist()
+    return Projection(
+        beta=coefficients[: basis.components].copy(),
+        coefficients=coefficients,
+        residual_mm=max(residual_mm - added_mm, 0.0),
+        valid_share=seen / max(known, 1.0),
+        inlier_share=inliers / seen,
+        is_seen=is_seen,
+    )
 
 
 def _project_or_none(basis: Basis, thin: RoiDepth, start: FloatArray | None, added_mm: float) -> Projection | None:

@@ -105,7 +105,11 @@ class SurfaceContinuity:
                     "check for objects on the patient, then set the reference again",
                     misfit_mm=misfit_mm,
                 )
-        self._accept(observed)
+        if self._calm_since_us is None or observed.timestamp_us < self._calm_since_us:
+            self._calm_since_us = observed.timestamp_us
+        if observed.timestamp_us - self._calm_since_us >= CALM_US:
+            self._calm = observed
+        self._last, self._is_broken = observed, False
         return ""
 
     def _misfit_mm(
@@ -121,13 +125,6 @@ class SurfaceContinuity:
             return misfit_mm
         is_back = _beyond_breathing_mm(observed.depth_mm - self._calm.depth_mm, shapes, allowed_mm) is None
         return None if is_back else misfit_mm
-
-    def _accept(self, observed: ObservedSurface) -> None:
-        if self._calm_since_us is None or observed.timestamp_us < self._calm_since_us:
-            self._calm_since_us = observed.timestamp_us
-        if observed.timestamp_us - self._calm_since_us >= CALM_US:
-            self._calm = observed
-        self._last, self._is_broken = observed, False
 
 
 def _has_moved(observed: ObservedSurface, before: ObservedSurface) -> bool:
