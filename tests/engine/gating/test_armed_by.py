@@ -5,7 +5,8 @@ import pytest
 from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Ending, Interruption, Silence
-from tests.support.gating.streams import stream_in
+from engine.gating.limits import ns_from_ms
+from tests.support.gating.streams import LIMITS, stream_in
 
 ARMED = (GateState.HOLD, GateState.DWELL, GateState.BEAM_ON)
 
@@ -29,6 +30,13 @@ def test_an_armed_gate_and_no_other_names_who_armed_it(state):
 )
 def test_what_ends_the_arming_ends_the_name(state, event):
     assert stream_in(state).step(event).armed_by is None
+
+
+@pytest.mark.parametrize("state", ARMED)
+def test_a_frame_that_latches_the_gate_ends_the_name(state):
+    stream = stream_in(state)
+    late = stream.feed(age_ns=ns_from_ms(LIMITS.max_silence_ms) + 1)
+    assert (late.state, late.armed_by) == (GateState.FAULT, None)
 
 
 @pytest.mark.parametrize("state", ARMED)
