@@ -129,6 +129,11 @@ HOLD = BreathHoldWindow(level=WINDOW)
             (Breath(rate_per_min=60.0), Breath(signal=THORAX, rate_per_min=40.0)),
             3.0,
         ),
+        (
+            JoinedWindow(conditions=(WINDOW, AmplitudeWindow(choice=THORAX, lower=-5.0, upper=5.0)), join="and"),
+            (Breath(rate_per_min=40.0), Breath(signal=THORAX, rate_per_min=60.0)),
+            3.0,
+        ),
     ],
 )
 def test_what_is_allowed_in_each_kind_of_window(window, breaths, expected):
