@@ -23,6 +23,9 @@ test: $(STAMP) $(CLIENT_STAMP) test-system  ## every behaviour once: lint, types
 verify: $(STAMP) $(CLIENT_STAMP) test-system  ## what takes longer: campaigns, whole programs, cameras, browsers on a real service; then how long each module took
 	@$(MAKE) --no-print-directory tests STAGE=verify
 
+lab: $(STAMP) $(CLIENT_STAMP) test-system  ## the lab (phantom, evaluation, bench), clusters, other processors' features
+	@$(MAKE) --no-print-directory tests STAGE=lab
+
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
@@ -70,7 +73,7 @@ test-system:
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-demo check check-tests test verify tests: export PYTHONDONTWRITEBYTECODE :=
+demo check check-tests test verify lab tests: export PYTHONDONTWRITEBYTECODE :=
 
 # Lint, types and contracts run beside the tests.
 OTHERS = $(MAKE) --no-print-directory --keep-going $(1) >build/check.log 2>&1 & others=$$!; trap 'kill $$others' INT
@@ -87,7 +90,7 @@ check-tests:
 tests:
 	@rm -rf build/tests/$(STAGE)-*; failed=; \
 	part() { echo "-- $(STAGE), $$1"; $(BIN)/pytest -q --stage $(STAGE) --part $$* --junitxml build/tests/$(STAGE)-$$1.xml --durations=15 || failed+=" $$1"; }; \
-	part computing -n 3 --dist loadfile --no-loadscope-reorder; part waiting -n 2 --dist loadfile --no-loadscope-reorder; part alone; \
+	part computing -n 3 --dist loadfile --no-loadscope-reorder; [ $(STAGE) = lab ] || { part waiting -n 2 --dist loadfile --no-loadscope-reorder; part alone; }; \
 	$(BIN)/python -m tests.support.documents.hazards $(STAGE) build/tests/$(STAGE)-*.xml || failed+=" named-in-safety.md"; \
 	$(BIN)/python -m tests.support.durations build/tests/*.xml; \
 	[ ! "$$failed" ] || { echo "FAILED:$$failed"; exit 1; }

@@ -72,9 +72,12 @@ class SignalChoice:
         object.__setattr__(self, "signal", GateSignal(self.signal))
         if isinstance(self.index, bool) or not isinstance(self.index, int) or self.index < 0:
             raise InvalidValueError("index", self.index, "a whole number from 0")
-        has_name = self.name is not None
-        if has_name != (self.signal is GateSignal.NAMED):
+        if (self.name is not None) != (self.signal is GateSignal.NAMED):
             raise InvalidValueError("name", self.name, "given for signal named, and for no other")
+
+    def __getstate__(self) -> dict[str, object]:
+        """Give the fields alone: what is remembered beside them does not go to another process with every sample."""
+        return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
     @cached_property
     def is_volume(self) -> bool:

@@ -45,10 +45,7 @@ class Warmth:
         if last_ns is None:
             return
         step_s = (received_ns - last_ns) / 1e9
-        if step_s <= LONGEST_STEP_S:
-            self.run(step_s)
-        else:
-            self.rest(step_s)
+        (self.run if step_s <= LONGEST_STEP_S else self.rest)(step_s)
 
     @property
     def left_s(self) -> float:

@@ -2,10 +2,11 @@
 
 ``pytest --part NAME`` runs one part, ``pytest --fast`` what `make check` runs. A module is of the part that its
 ``pytestmark`` names, and else of the first. ``--stage test`` leaves out what is marked ``verification`` or lies in a
-folder of such tests, as `make test` does; ``--stage verify`` runs only that, as `make verify` does. A module's text is
-read for that: one that is left out is not imported. Slow are the modules so marked, those of the later parts, two
-folders, and tests with a fixture that needs a system package or a recording. A new test is fast until one of these says
-otherwise; `make check` prints its slowest ten, so that one which does not belong there is seen.
+folder of such tests, as `make test` does; ``--stage verify`` runs only that, as `make verify` does, and ``--stage lab``
+what lies in the lab's folders. A module's text is read for that: one that is left out is not imported. Slow are the
+modules so marked, those of the later parts, two folders, and tests with a fixture that needs a system package or a
+recording. A new test is fast until one of these says otherwise; `make check` prints its slowest ten, so that one which
+does not belong there is seen.
 """
 
 import re
@@ -19,17 +20,15 @@ from tests.support.repository import ROOT
 PARTS = ("computing", "waiting", "alone")
 """Where no time is judged; what starts services, kills them and waits; what needs a core to itself."""
 MODULE_MARKS = re.compile(r"^pytestmark = (\[[^\]]*\]|.*?$)", re.MULTILINE | re.DOTALL)
-STAGES = ("test", "verify")
-"""Every behaviour once, within minutes; and campaigns, whole programs, other machines, pictures of whole sessions."""
+STAGES = ("test", "verify", "lab")
+"""Every behaviour once, within minutes; campaigns, whole programs, whole sessions; the lab and clusters."""
 VERIFICATION_FOLDERS = (
     ROOT / "verification",
-    ROOT / "tests/lab",
-    *(
-        ROOT / "tests/system" / name
-        for name in ("beam_line", "client", "cluster", "engine_process", "processors", "service", "tls")
-    ),
+    *(ROOT / "tests/system" / name for name in ("beam_line", "client", "engine_process", "service", "tls")),
 )
 """Folders of which every module is of the second stage."""
+LAB_FOLDERS = (ROOT / "tests/lab", ROOT / "tests/system/cluster", ROOT / "tests/system/processors")
+"""Folders of the third stage: the lab, clusters, and processors that this one plays."""
 SLOW_FOLDERS = (ROOT / "verification", ROOT / "tests/system")
 SLOW_FIXTURES = frozenset(
     {
@@ -49,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add ``--fast``, ``--part`` and ``--stage``."""
     parser.addoption("--fast", action="store_true", help="only the fast tests, which need no system package")
     parser.addoption("--part", choices=PARTS, help="only the tests of this part")
-    parser.addoption("--stage", choices=STAGES, help="only the tests of `make test`, or of `make verify`")
+    parser.addoption("--stage", choices=STAGES, help="only the tests of `make test`, `make verify` or `make lab`")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -74,7 +73,9 @@ def module_marks(path: Path) -> frozenset[str]:
 
 def stage_of(path: Path) -> str:
     """Return which command runs a module of tests."""
-    is_there = any(folder in path.parents for folder in VERIFICATION_FOLDERS)
+    if not set(LAB_FOLDERS).isdisjoint(path.parents):
+        return STAGES[2]
+    is_there = not set(VERIFICATION_FOLDERS).isdisjoint(path.parents)
     return STAGES[is_there or "verification" in module_marks(path)]
 
 

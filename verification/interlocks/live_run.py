@@ -86,10 +86,6 @@ class Outcome:
     def off_after_ms(self) -> float:
         return (self.off.at_ns - self.cause_ns) / NS_PER_MS
 
-    @property
-    def is_before_lease_end(self) -> bool:
-        return self.off.at_ns <= self.lease_end_ns
-
 
 class LiveRun:
     """One engine's life on a line; its queues are drained by a thread, as the service's writer does."""

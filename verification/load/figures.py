@@ -18,6 +18,8 @@ P99_MARK_RATIO, P999_MARK_RATIO = 1.5, 2.5
 READY_MARK_S = 1.5
 IDLE_MARK_MB, ARMED_MARK_MB = 200.0, 350.0
 GROWTH_MARK_SHARE = 0.02
+MOST_OFF_PERCENT = 90.0
+"""A gate that has latched costs less than one that works: its figures are none of a treatment."""
 LEAST_TO_JUDGE_MEMORY_S = 600.0
 COURSE = 12
 WARM_S = 60.0
@@ -57,7 +59,8 @@ def figures_of(outcome: Outcome) -> dict[str, Any]:
 def marks_of(found: dict[str, Any]) -> list[dict[str, Any]]:
     """Hold the figures against what is promised."""
     quiet, loaded, clients = found["frames"]["quiet"], found["frames"]["loaded"], found["clients"]
-    memory = found["memory"]
+    memory, gate = found["memory"], found["session"]["gate"]
+    off = 1.0 - gate.get("beam_on", 0) / max(sum(gate.values()), 1)
     marks = [
         _mark("the service answers", found["ready_s"], "s", f"at most {READY_MARK_S:g}", READY_MARK_S),
         _mark("memory, idle", memory["idle_mb"], "MB", f"at most {IDLE_MARK_MB:g}", IDLE_MARK_MB),
@@ -80,6 +83,8 @@ def marks_of(found: dict[str, Any]) -> list[dict[str, Any]]:
         _mark(
             "received to decided, p99.9", loaded["decision_p999_ms"], "ms", f"at most {P999_MARK_MS:g}", P999_MARK_MS
         ),
+        _mark("frames in a fault", gate.get("fault", 0), "", "none", 0),
+        _mark("frames without beam on", round(100.0 * off, 2), "%", f"at most {MOST_OFF_PERCENT:g}", MOST_OFF_PERCENT),
         _mark("frames lost", found["frames"]["all"]["absent"] + found["frames"]["all"]["missed"], "", "none", 0),
         _mark("frames read more than a frame's time late", found["frames"]["all"]["late_33_ms"], "", "none", 0),
     ]

@@ -14,6 +14,7 @@ from engine.capture.oni.codec import encode_16zt, encode_jpeg
 from engine.capture.oni.reader import OniReader
 from engine.capture.oni.streams import CodedFrame
 from engine.capture.oni.writer import OniWriter
+from engine.core.files import sync_file
 from lab.phantom.recording import make_volunteer
 from tests.support.build_cache import digest_of, made_once
 from tests.support.phantom_recordings import MAKERS
@@ -62,6 +63,7 @@ def write_long(base: Path, seconds: float, out: Path) -> int:
             if number * turn_us >= seconds * 1e6:
                 break
             written += _write(writer, passage, number * turn_us)
+    sync_file(out)  # else the disk is busy with it while the session runs, whose own writes wait
     return written
 
 

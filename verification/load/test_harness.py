@@ -111,6 +111,8 @@ LOADED = {"decision_p99_ms": 3.0, "decision_p999_ms": 10.0}
         ("memory", {"start_mb": 350.1}, {"memory, armed"}),
         ("memory", {"seconds": 600.0, "end_mb": 307.0}, {"memory grown since the first minute"}),
         ("ready", 1.6, {"the service answers"}),
+        ("session", {"beam_on": 300, "hold": 2000, "fault": 1}, {"frames in a fault"}),
+        ("session", {"beam_on": 299, "hold": 2701}, {"frames without beam on"}),
     ],
 )
 def test_a_missed_mark_is_reported(found, part, changed, missed):
@@ -119,8 +121,11 @@ def test_a_missed_mark_is_reported(found, part, changed, missed):
     frames["loaded"] = {**found["frames"]["loaded"], **LOADED}
     memory = {**found["memory"], "seconds": 60.0, "idle_mb": 200.0, "start_mb": 350.0, "warm_mb": 300.0}
     good = {**found, "frames": frames, "memory": memory, "ready_s": 1.5}
+    good["session"] = {**found["session"], "gate": {"beam_on": 300, "hold": 2700}}
     if part == "ready":
         bad = {**good, "ready_s": changed}
+    elif part == "session":
+        bad = {**good, part: {**good[part], "gate": changed}}
     elif part == "memory":
         bad = {**good, "memory": {**memory, **changed}}
     else:
@@ -130,31 +135,23 @@ def test_a_missed_mark_is_reported(found, part, changed, missed):
     } == missed
 
 
-def test_a_long_recording_has_no_seam(regular_volunteer, tmp_path):
-    frames = write_long(regular_volunteer / "recording.oni", 60.0, tmp_path / "long.oni")
-    with OniReader(tmp_path / "long.oni") as reader:
-        depth = [frame for frame in reader.frames(with_payload=False) if frame.is_depth]
-    apart_us = np.diff([frame.timestamp_us for frame in depth])
-    assert len(depth) == frames >= 60.0 * FPS
-    assert sum(frame.missed_frames for frame in depth) == 0
-    assert abs(apart_us - 1e6 / FPS).max() < 3000
-
-
-def test_no_picture_of_a_long_recording_is_that_of_a_frozen_camera(regular_volunteer, tmp_path):
+def test_a_long_recording_has_no_seam_and_no_picture_of_a_frozen_camera(regular_volunteer, tmp_path):
     """A picture backwards is another than the one forwards: at the turn both are in the last three seconds."""
-    base = regular_volunteer / "recording.oni"
-    with OniReader(base) as reader:
-        length = sum(frame.is_depth for frame in reader.frames(with_payload=False))
-    write_long(base, 2.0 * length / FPS - 1.0, tmp_path / "long.oni")
-    watch, turn = RepeatedPictures(), length + 90
-    source = OniFileSource(tmp_path / "long.oni", clock=MonotonicClock())
+    base, out = regular_volunteer / "recording.oni", tmp_path / "long.oni"
+    seconds = 2.0 * depth_us(base).size / FPS - 1.0
+    assert write_long(base, seconds, out) == depth_us(out).size >= seconds * FPS
+    assert abs(np.diff(depth_us(out)) - 1e6 / FPS).max() < 3000
+    watch, turn = RepeatedPictures(), depth_us(base).size + 90
+    source = OniFileSource(out, clock=MonotonicClock())
     source.open()
     for number in range(turn):
-        frame = source.read(timeout_s=1.0)
-        assert frame is not None
-        held = watch.check(frame)
-        assert held is None, f"frame {number} of {turn}: {held}"
+        assert watch.check(source.read(timeout_s=1.0)) is None, f"frame {number} of {turn}"
     source.close()
+
+
+def depth_us(recording):
+    with OniReader(recording) as reader:
+        return np.array([frame.timestamp_us for frame in reader.frames(with_payload=False) if frame.is_depth])
 
 
 def test_frames_are_counted_in_the_block_they_came_in_and_those_that_are_missing_are():
@@ -164,9 +161,7 @@ def test_frames_are_counted_in_the_block_they_came_in_and_those_that_are_missing
     times = times_in(table, [Block(kind="loaded", begin_s=0.05, end_s=0.19)])
     assert times.decision_ms.tolist() == [2.0, 40.0, 3.0]
     assert (times.count, times.absent, times.over) == (3, 1, 1)
-
-
-def test_a_frame_lost_at_the_edge_of_a_block_is_counted():
+    # One that was lost at the edge of a block, too.
     table = session(received_ms=[0, 66, 100], decided_after_ms=[1, 1, 1], index=[0, 2, 3])
     assert times_in(table, [Block(kind="loaded", begin_s=0.05, end_s=0.2)]).absent == 1
 

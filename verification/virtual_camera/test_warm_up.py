@@ -11,7 +11,7 @@ from tests.support.virtual_camera.treatment_room import PATIENCE_S, room
 
 pytestmark = pytest.mark.alone
 
-WARM_UP_MIN = 0.5
+WARM_UP_MIN = 0.25
 
 
 def cold_share(folder) -> float:

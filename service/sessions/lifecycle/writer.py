@@ -48,6 +48,8 @@ logger = logging.getLogger(__name__)
 
 POLL_S = 0.02
 RETRY_S = 0.2
+SLOW_S = 0.5
+"""A write that takes longer is in the log: it tells what a gate that held after `max_unwritten_ms` waited for."""
 GIVE_UP_S = 60.0
 DISK_CHECK_S = 1.0
 ASK_S = 0.25
@@ -168,8 +170,7 @@ class SessionWriter(threading.Thread):
         self._try(self._write_audit, is_last=True)
 
     def _is_drained(self) -> bool:
-        engine = self._engine
-        return engine.transitions.empty() and engine.samples.empty() and engine.notices.empty()
+        return self._engine.transitions.empty() and self._engine.samples.empty() and self._engine.notices.empty()
 
     def _collect(self) -> None:
         """Take what is in the queues; leave it there while earlier rows are not written."""
@@ -186,6 +187,7 @@ class SessionWriter(threading.Thread):
         """Write; on failure hold the beam and retry until it succeeds, or give up after the session's end."""
         give_up_at_s = time.monotonic() + GIVE_UP_S
         while True:
+            began_s = time.monotonic()
             try:
                 write()
             except SQLAlchemyError as error:
@@ -195,6 +197,8 @@ class SessionWriter(threading.Thread):
                 self._engine.report_fault(HoldReason.RECORDER_BEHIND, "the disk does not take what was measured")
                 logger.warning("the disk does not take session %s: %s", self._session_id, error.strerror)
             else:
+                if (took_s := time.monotonic() - began_s) >= SLOW_S:
+                    logger.warning("session %s: %s took %.1f s", self._session_id, write.__name__.strip("_"), took_s)
                 return
             is_over = is_last or self._engine.status.is_over
             if is_over and time.monotonic() > give_up_at_s:
@@ -223,7 +227,8 @@ class SessionWriter(threading.Thread):
         for transition in batch.transitions:
             self._counters.transition(transition)
         self.figures.transitions += len(batch.transitions)
-        self.figures.holds.update(_hold_reasons(batch.transitions))
+        held = [one.reason for one in batch.transitions if one.to_state in HELD and one.reason is not None]
+        self.figures.holds.update(str(reason.value) for reason in held)
         self.figures.beam_offs_ms += [off.off_ms for off in batch.beam_offs]
         del self._transitions[: len(batch.transitions)], self._notices[: len(batch.notices)]
         del self._beam_offs[: len(batch.beam_offs)]
@@ -319,9 +324,7 @@ class SessionWriter(threading.Thread):
     def _close(self) -> None:
         """Make the final sample file, record the end, and only then remove the stream."""
         status, detail = self._ending()
-        if self._settled is None:
-            self._settled = self._settle()
-        settled = self._settled
+        settled = self._settled = self._settled or self._settle()
         samples = self._recorder.leave_open() if settled is None else settled.audit_detail
         evidence = self._engine.evidence()
         if self._journal is not None and self._journal.is_orphaned:
@@ -362,10 +365,6 @@ class SessionWriter(threading.Thread):
         if self._stopped_by is not None:
             return "stopped", f"stopped by {self._stopped_by}"
         return "ended", self._engine.status.error or "the recording is over"
-
-
-def _hold_reasons(transitions: Iterable[GateTransition]) -> list[str]:
-    return [str(one.reason.value) for one in transitions if one.to_state in HELD and one.reason is not None]
 
 
 def _drain(source: "queue.Queue[RowT]", target: list[RowT]) -> None:

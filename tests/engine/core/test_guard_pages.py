@@ -12,7 +12,7 @@ pytestmark = [
     pytest.mark.skipif(compiled.FramePath.kernels is None, reason="the numpy forms run"),
     pytest.mark.verification,
 ]
-SESSIONS = "tests/engine/motion/learning/test_confirmed_references.py"
+SESSIONS = "tests/support/guarded_sessions.py"
 READS_BEYOND = """
 import ctypes
 import numpy as np

@@ -2,11 +2,13 @@
 
 import dataclasses
 import gc
+import pickle
 import weakref
 
 import pytest
 
 from engine.core import compiled
+from engine.core.breath import GateSignal, SignalChoice
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.replacing import constructed, replace as quick
 from engine.gating.gate import Gate
@@ -115,3 +117,11 @@ def test_a_replacer_is_made_of_a_dict_and_a_function():
     for arguments in [({},), ([], constructed), ({}, 1)]:
         with pytest.raises(TypeError):
             FUNCTIONS.replacer(*arguments)
+
+
+def test_what_a_signal_remembers_does_not_go_to_another_process_with_each_sample():
+    fresh, read = SignalChoice(signal=GateSignal.THORAX), SignalChoice(signal=GateSignal.THORAX)
+    assert (read.unit, read.is_wide) == ("mm", True)
+    assert read.value_in is not None
+    assert pickle.dumps(read) == pickle.dumps(fresh)
+    assert pickle.loads(pickle.dumps(read)) == fresh

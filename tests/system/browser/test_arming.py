@@ -334,7 +334,7 @@ def test_random_double_clicks_never_arm(fake: FakeService, stepped: SteppedPage)
     assert len(armings(fake)) == 1, "the same page arms when it is asked to"
 
 
-REAL_CLICKS = 100
+REAL_CLICKS = 60
 GAPS_MS = [0, 100, 300, 500, 700, 2_400]
 CALM_MS = 2_000
 """How long a summary has to be on the screen, unchanged, before its button arms."""

@@ -4,6 +4,7 @@ import os
 import queue
 import shutil
 import sqlite3
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -215,6 +216,19 @@ def test_a_disk_that_does_not_take_samples_faults_the_gate_and_loses_none(
         eventually(lambda: HoldReason.RECORDER_BEHIND in running.faults)
         running.frame()
     eventually(lambda: stored_samples(settings, session_id) == [0, 1])
+
+
+def test_a_write_that_takes_long_is_in_the_log(client, session_id, running, settings, monkeypatch, caplog):
+    sync, never = os.fsync, threading.Event()
+
+    def slow(file):
+        never.wait(0.02)
+        sync(file)
+
+    monkeypatch.setattr(writer, "SLOW_S", 0.01)
+    monkeypatch.setattr(os, "fsync", slow)
+    running.frame()
+    eventually(lambda: any(f"{session_id}: write_samples took" in line for line in caplog.messages))
 
 
 def test_a_sample_file_that_was_taken_away_faults_the_gate(client, session_id, running, settings, monkeypatch):
