@@ -4,120 +4,82 @@ A line is a :class:`BeamLine`: a lease turns it on, a hold turns it off and latc
 (`ModbusWire`, `RelayWire`) under one supervision (`WiredBeamLine`); two lines are one (`PairedBeamLine`).
 """
 
-from engine.beam.beam_on import (
-    ABSENT_BOUNDS_S,
-    ABSENT_S,
-    AFTER_PERMIT_BOUNDS_MS,
-    AFTER_PERMIT_MS,
-    BeamOff,
-    BeamOnState,
-    ReadBeamOn,
-)
-from engine.beam.commissioning import (
-    PULSE_BOUNDS_MS,
-    Pulser,
-)
-from engine.beam.compared_line import (
-    ComparedBeamLine,
-)
-from engine.beam.heartbeat_drill import (
-    DrilledReceiver,
-    HeartbeatDrill,
-    OwnInput,
-    SecondInput,
-    check_verifiable,
-)
-from engine.beam.line import (
-    BeamLine,
-    TroubleListener,
-)
-from engine.beam.paired import (
-    PairedBeamLine,
-)
-from engine.beam.simulated import (
-    ACCELERATOR_BOUNDS_MS,
-    SimulatedAccelerator,
-    SimulatedBeamLine,
-    SimulatedReceiver,
-)
-from engine.beam.status.published_line import (
-    HttpSender,
-    PublishedBeamLine,
-    Sender,
-    StatusPublisher,
-    UdpSender,
-)
-from engine.beam.wire.line_supervisor import (
-    TIME_BOUNDS,
-    LineTimes,
-)
-from engine.beam.wire.modbus import (
-    MAP_BOUNDS,
-    ModbusInput,
-    ModbusWire,
-    RegisterMap,
-    rtu_wire,
-    tcp_wire,
-)
-from engine.beam.wire.serial_relay import (
-    Contact,
-    Protocol,
-    RelayWire,
-    check_channels,
-)
-from engine.beam.wire.serial_settings import (
-    BAUD_RATES,
-    Parity,
-    check_baud,
-)
-from engine.beam.wire.supervised_line import (
-    Wire,
-    WiredBeamLine,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "ABSENT_BOUNDS_S",
-    "ABSENT_S",
-    "ACCELERATOR_BOUNDS_MS",
-    "AFTER_PERMIT_BOUNDS_MS",
-    "AFTER_PERMIT_MS",
-    "BAUD_RATES",
-    "MAP_BOUNDS",
-    "PULSE_BOUNDS_MS",
-    "TIME_BOUNDS",
-    "BeamLine",
-    "BeamOff",
-    "BeamOnState",
-    "ComparedBeamLine",
-    "Contact",
-    "DrilledReceiver",
-    "HeartbeatDrill",
-    "HttpSender",
-    "LineTimes",
-    "ModbusInput",
-    "ModbusWire",
-    "OwnInput",
-    "PairedBeamLine",
-    "Parity",
-    "Protocol",
-    "PublishedBeamLine",
-    "Pulser",
-    "ReadBeamOn",
-    "RegisterMap",
-    "RelayWire",
-    "SecondInput",
-    "Sender",
-    "SimulatedAccelerator",
-    "SimulatedBeamLine",
-    "SimulatedReceiver",
-    "StatusPublisher",
-    "TroubleListener",
-    "UdpSender",
-    "Wire",
-    "WiredBeamLine",
-    "check_baud",
-    "check_channels",
-    "check_verifiable",
-    "rtu_wire",
-    "tcp_wire",
-]
+from engine.core.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from engine.beam.beam_on import (
+        ABSENT_BOUNDS_S as ABSENT_BOUNDS_S,
+        ABSENT_S as ABSENT_S,
+        AFTER_PERMIT_BOUNDS_MS as AFTER_PERMIT_BOUNDS_MS,
+        AFTER_PERMIT_MS as AFTER_PERMIT_MS,
+        BeamOff as BeamOff,
+        BeamOnState as BeamOnState,
+        ReadBeamOn as ReadBeamOn,
+    )
+    from engine.beam.commissioning import (
+        PULSE_BOUNDS_MS as PULSE_BOUNDS_MS,
+        Pulser as Pulser,
+    )
+    from engine.beam.compared_line import (
+        ComparedBeamLine as ComparedBeamLine,
+    )
+    from engine.beam.heartbeat_drill import (
+        DrilledReceiver as DrilledReceiver,
+        HeartbeatDrill as HeartbeatDrill,
+        OwnInput as OwnInput,
+        SecondInput as SecondInput,
+        check_verifiable as check_verifiable,
+    )
+    from engine.beam.line import (
+        BeamLine as BeamLine,
+        TroubleListener as TroubleListener,
+    )
+    from engine.beam.paired import (
+        PairedBeamLine as PairedBeamLine,
+    )
+    from engine.beam.simulated import (
+        ACCELERATOR_BOUNDS_MS as ACCELERATOR_BOUNDS_MS,
+        SimulatedAccelerator as SimulatedAccelerator,
+        SimulatedBeamLine as SimulatedBeamLine,
+        SimulatedReceiver as SimulatedReceiver,
+    )
+    from engine.beam.status.published_line import (
+        HttpSender as HttpSender,
+        PublishedBeamLine as PublishedBeamLine,
+        Sender as Sender,
+        StatusPublisher as StatusPublisher,
+        UdpSender as UdpSender,
+    )
+    from engine.beam.wire.line_supervisor import (
+        TIME_BOUNDS as TIME_BOUNDS,
+        LineTimes as LineTimes,
+    )
+    from engine.beam.wire.modbus import (
+        ModbusInput as ModbusInput,
+        ModbusWire as ModbusWire,
+        rtu_wire as rtu_wire,
+        tcp_wire as tcp_wire,
+    )
+    from engine.beam.wire.register_map import (
+        MAP_BOUNDS as MAP_BOUNDS,
+        RegisterMap as RegisterMap,
+    )
+    from engine.beam.wire.serial_relay import (
+        Contact as Contact,
+        Protocol as Protocol,
+        RelayWire as RelayWire,
+        check_channels as check_channels,
+    )
+    from engine.beam.wire.serial_settings import (
+        BAUD_RATES as BAUD_RATES,
+        Parity as Parity,
+        check_baud as check_baud,
+    )
+    from engine.beam.wire.supervised_line import (
+        Wire as Wire,
+        WiredBeamLine as WiredBeamLine,
+    )
+
+__getattr__, __all__ = lazy_exports(__name__)

@@ -15,14 +15,13 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from typing import TypeAlias
 
+from engine import beam
 from engine.beam import (
     BeamLine,
     BeamOnState,
     ComparedBeamLine,
     DrilledReceiver,
     HttpSender,
-    ModbusInput,
-    ModbusWire,
     OwnInput,
     PairedBeamLine,
     PublishedBeamLine,
@@ -37,8 +36,6 @@ from engine.beam import (
     UdpSender,
     Wire,
     WiredBeamLine,
-    rtu_wire,
-    tcp_wire,
 )
 from engine.core.clock import Clock
 from engine.core.errors import TidegateError
@@ -72,7 +69,7 @@ def read_beam_on(settings: BeamSettings, clock: Clock, parts: Sequence[LinePart]
     if isinstance(part, SimulatedBeamLine):
         return SimulatedAccelerator(part, clock, delay_ms=settings.beam_simulated_accelerator_ms).read
     wire = part.wire
-    assert isinstance(wire, ModbusWire), "only a Modbus line has a beam-on input"
+    assert isinstance(wire, beam.ModbusWire), "only a Modbus line has a beam-on input"
     return lambda: wire.beam_on
 
 
@@ -120,8 +117,8 @@ def _second_input(
         return None
     if place != READBACK:
         host, port, registers = second_input_place(place)
-        return ModbusInput(tcp_wire(host=host, port=port, registers=registers))
-    return ModbusInput(_tcp(settings)) if kind == "modbus-tcp" else OwnInput(part)
+        return beam.ModbusInput(beam.tcp_wire(host=host, port=port, registers=registers))
+    return beam.ModbusInput(_tcp(settings)) if kind == "modbus-tcp" else OwnInput(part)
 
 
 def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str, *, is_session: bool) -> LinePart:
@@ -133,13 +130,13 @@ def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str, *, i
     return WiredBeamLine(wire, clock, settings.beam_times, look=look)
 
 
-def _tcp(settings: BeamSettings, is_session: bool = False) -> ModbusWire:  # noqa: FBT001, FBT002 - in a table
+def _tcp(settings: BeamSettings, is_session: bool = False) -> "beam.ModbusWire":  # noqa: FBT001, FBT002 - in a table
     registers = settings.beam_registers("modbus-tcp", is_session=is_session)
-    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=registers)
+    return beam.tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=registers)
 
 
-def _rtu(settings: BeamSettings, is_session: bool) -> ModbusWire:  # noqa: FBT001 - in a table
-    return rtu_wire(
+def _rtu(settings: BeamSettings, is_session: bool) -> "beam.ModbusWire":  # noqa: FBT001 - in a table
+    return beam.rtu_wire(
         device=settings.beam_rtu_device,
         baud=settings.beam_rtu_baud,
         parity=settings.beam_rtu_parity,

@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
 
 from sqlalchemy import JSON, ColumnElement, Select, Text, cast, func, literal, or_, select, tuple_, type_coerce
-from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from service.core.errors import BoundError, NotFoundError
@@ -42,7 +41,7 @@ AUDIT_ORDER = (
     .scalar_subquery()
 )
 """Which session was created first: by its first row in the audit, as the wall clock may have been set back."""
-TRANSITION_DETAIL = type_coerce(cast(AuditRow.detail, Text().with_variant(JSONB(), "postgresql")), JSON())
+TRANSITION_DETAIL = type_coerce(cast(AuditRow.detail, Text().with_variant(JSON(), "postgresql")), JSON())
 """What a transition's row says, whose text is sealed, as JSON that the database reads."""
 Seal = tuple[int, str]
 _NEWEST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)

@@ -49,13 +49,27 @@ def test_a_line_is_printed_exactly_as_it_is(text, capsys):
     [
         (
             "service.engine_host.process.engine_server",
-            ("fastapi", "sqlalchemy", "pyarrow.lib", "matplotlib", "scipy", "psycopg", "pydicom", "rich", "alembic"),
+            (
+                *(
+                    "fastapi",
+                    "sqlalchemy",
+                    "pyarrow.lib",
+                    "matplotlib",
+                    "scipy",
+                    "psycopg",
+                    "pydicom",
+                    "rich",
+                    "alembic",
+                ),
+                "pymodbus",
+            ),
         ),
         (
             "service.web.app",
             (
                 *("matplotlib", "pyarrow.lib", "scipy", "psycopg", "pydicom", "rich", "lab"),
                 *("alembic", "authlib", "joserfc", "httpx2", "cryptography"),
+                *("pymodbus", "sqlalchemy.dialects.postgresql"),
             ),
         ),
     ],

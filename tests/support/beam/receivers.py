@@ -13,7 +13,8 @@ from dataclasses import replace
 from engine.beam.heartbeat_drill import DrilledReceiver, OwnInput, SecondInput
 from engine.beam.line import BeamLine
 from engine.beam.wire.line_supervisor import LineTimes
-from engine.beam.wire.modbus import ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import ModbusInput, ModbusWire, rtu_wire, tcp_wire
+from engine.beam.wire.register_map import RegisterMap
 from engine.beam.wire.serial_relay import RelayWire
 from engine.beam.wire.supervised_line import Wire, WiredBeamLine
 from engine.core.clock import NS_PER_MS, MonotonicClock

@@ -8,7 +8,8 @@ import pytest
 from pymodbus.exceptions import ModbusException
 
 from engine.beam.wire import modbus
-from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import CONNECT_S, ModbusInput, ModbusWire, rtu_wire, tcp_wire
+from engine.beam.wire.register_map import MAP_BOUNDS, RegisterMap
 from engine.core.errors import BeamLineError, InvalidValueError
 
 MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=58)

@@ -10,7 +10,8 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 
 from engine.beam.wire import serial_relay
-from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import rtu_wire, tcp_wire
+from engine.beam.wire.register_map import MAP_BOUNDS, RegisterMap
 from engine.beam.wire.serial_relay import RELAY_PROTOCOLS, RelayWire
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import MonotonicClock

@@ -109,6 +109,7 @@ def test_the_audit_is_found_by_action_actor_outcome_and_time(client, session_bod
 
 
 @pytest.mark.both_databases
+@pytest.mark.both_databases
 def test_transitions_are_found_by_state_and_reason(client, session_id, running):
     running.transition(GateState.HOLD, HoldReason.MARKER_LOST)
     running.transition(GateState.BEAM_ON)
