@@ -25,16 +25,11 @@ ALWAYS = frozenset(
 """What each commit has to pass."""
 
 PARTS = 8
-
-
-def _part() -> int:
-    """Which part of the others is taken: the commit says, so that it is the same for everybody who has it."""
-    command = ["git", "rev-parse", "--short=4", "HEAD"]
-    reported = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
-    return int(reported, 16) % PARTS if reported else 0
-
-
-PART = _part()
+COMMIT = subprocess.run(
+    ["git", "rev-parse", "--short=4", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+)
+PART = int(COMMIT.stdout.strip() or "0", 16) % PARTS
+"""Which part of the others is taken: the commit says, so that it is the same for everybody who has it."""
 OTHERS = [kind for kind in all_kinds() if kind.code not in ALWAYS]
 KINDS = sorted(chosen([*ALWAYS, *(kind.code for kind in OTHERS[PART::PARTS])]), key=lambda kind: kind.plan.name)
 """Kinds that need the same service side by side: it is started once for them."""
