@@ -40,6 +40,7 @@ def test_only_hazards_without_a_mitigation_that_can_be_tested_name_no_test():
 
 def test_every_named_test_exists():
     sources = {path: (ROOT / path).read_text(encoding="utf-8") for path in {one.partition("::")[0] for one in named()}}
+    assert named_in("lab") == [], "that stage is left out on a slow machine"
     assert [one for one in named() if f"def {one.partition('::')[2]}(" not in sources[one.partition("::")[0]]] == []
 
 
@@ -49,7 +50,7 @@ def test_a_named_test_that_did_not_run_is_found_among_cases_and_files():
     assert not_run(expected, ran) == expected[2:]
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", STAGES[:2])
 def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys, stage):
     first, *others = named_in(stage)
     ran = tmp_path / "part.xml"

@@ -24,11 +24,12 @@ STAGES = ("test", "verify", "lab")
 """Every behaviour once, within minutes; campaigns, whole programs, whole sessions; the lab and clusters."""
 VERIFICATION_FOLDERS = (
     ROOT / "verification",
+    ROOT / "tests/lab/simulated_tps",
     *(ROOT / "tests/system" / name for name in ("beam_line", "client", "engine_process", "service", "tls")),
 )
 """Folders of which every module is of the second stage."""
 LAB_FOLDERS = (ROOT / "tests/lab", ROOT / "tests/system/cluster", ROOT / "tests/system/processors")
-"""Folders of the third stage: the lab, clusters, and processors that this one plays."""
+"""Folders of the third stage, but for what is of the second: no test that safety.md or hazards.md names."""
 SLOW_FOLDERS = (ROOT / "verification", ROOT / "tests/system")
 SLOW_FIXTURES = frozenset(
     {
@@ -73,9 +74,9 @@ def module_marks(path: Path) -> frozenset[str]:
 
 def stage_of(path: Path) -> str:
     """Return which command runs a module of tests."""
-    if not set(LAB_FOLDERS).isdisjoint(path.parents):
-        return STAGES[2]
     is_there = not set(VERIFICATION_FOLDERS).isdisjoint(path.parents)
+    if not is_there and not set(LAB_FOLDERS).isdisjoint(path.parents):
+        return STAGES[2]
     return STAGES[is_there or "verification" in module_marks(path)]
 
 

@@ -19,7 +19,7 @@ READY_MARK_S = 1.5
 IDLE_MARK_MB, ARMED_MARK_MB = 200.0, 350.0
 GROWTH_MARK_SHARE = 0.02
 MOST_OFF_PERCENT = 90.0
-"""A gate that has latched costs less than one that works: its figures are none of a treatment."""
+"""A gate that has latched does less work than one in a treatment: its figures would be too good."""
 LEAST_TO_JUDGE_MEMORY_S = 600.0
 COURSE = 12
 WARM_S = 60.0

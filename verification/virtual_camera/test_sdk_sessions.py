@@ -167,8 +167,9 @@ def test_a_camera_that_is_unplugged_with_the_beam_on_is_back_when_it_is_plugged_
 
 def is_lost(live):
     """Whether the fault is the camera's; another one, of a busy machine, is acknowledged."""
-    faults = [live.gate["hold_reason"]] if live.gate["state"] == "fault" else []
-    return faults == ["source_lost"] or (faults != [] and live.act("acknowledge") is None)
+    if (gate := live.gate)["state"] == "fault" and gate["hold_reason"] != "source_lost":
+        live.act("acknowledge")
+    return gate["hold_reason"] == "source_lost"
 
 
 def test_without_a_calibration_the_makers_is_used_and_every_result_carries_a_warning(live, kind):
